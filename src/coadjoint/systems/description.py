@@ -91,7 +91,10 @@ def _line(text: str) -> str:
 def _formula(value: Any, system: Any) -> str | None:
     if isinstance(value, Quadratic):
         value = value.to_polynomial() if value.dim is not None and value.dim <= 64 else None
-    return short_formula(str(in_coordinates_of(system, value))) if isinstance(value, Polynomial) else None
+    if not isinstance(value, Polynomial):
+        return None
+    text = str(in_coordinates_of(system, value))
+    return text if len(text) <= MAX_FORMULA_LENGTH else text[:MAX_FORMULA_LENGTH].rpartition(" ")[0].rstrip() + "..."
 
 
 def _attitude(system: Any) -> str:
@@ -100,13 +103,6 @@ def _attitude(system: Any) -> str:
     if system.has_matrices:
         return "matrices"
     return "none" if system.algebra is None else "coadjoint"
-
-
-def short_formula(text: str) -> str:
-    """Return a formula, truncated between terms if it is long."""
-    if len(text) <= MAX_FORMULA_LENGTH:
-        return text
-    return text[:MAX_FORMULA_LENGTH].rpartition(" ")[0].rstrip() + "..."
 
 
 def _rank(system: Any) -> int:

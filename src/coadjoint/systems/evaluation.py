@@ -165,7 +165,7 @@ def _over_common_denominator(values: list[Any]) -> tuple[npt.NDArray[Any] | None
         denominator = math.lcm(denominator, each)
         if denominator.bit_length() > MAX_BITS:
             return None, 1
-    return _objects([value.numerator * (denominator // value.denominator) for value in exact]), denominator
+    return exact_numbers([value.numerator * (denominator // value.denominator) for value in exact]), denominator
 
 
 def _integers(values: npt.NDArray[Any], kind: Any) -> tuple[npt.NDArray[Any], int, Any] | None:
@@ -184,7 +184,7 @@ def _integers(values: npt.NDArray[Any], kind: Any) -> tuple[npt.NDArray[Any], in
     if max(exponents, default=0) - least > MAX_BITS:
         return None
     return (
-        _objects(
+        exact_numbers(
             [
                 int(-mantissa if sign else mantissa) << (exponent - least) if mantissa else 0
                 for sign, mantissa, exponent, _ in parts
@@ -193,9 +193,3 @@ def _integers(values: npt.NDArray[Any], kind: Any) -> tuple[npt.NDArray[Any], in
         least,
         kind,
     )
-
-
-def _objects(values: list[int]) -> npt.NDArray[Any]:
-    result = np.empty(len(values), dtype=object)
-    result[:] = values
-    return result

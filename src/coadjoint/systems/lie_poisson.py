@@ -37,7 +37,7 @@ from coadjoint.validation import set_fields
 # Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
 # a fraction of a second.
 MAX_SEARCH_SIZE = 5000
-MAX_SEARCH_DEGREE = 4
+SEARCH_DEGREES = range(1, 5)
 
 # Algebras are immutable and compare by value, so a scan over Hamiltonians searches once.
 _CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, Mapping[str, Any]] = WeakKeyDictionary()
@@ -50,10 +50,8 @@ def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
     # A nonzero bracket has rank at least two.
     if constants == 0 or (known and len(known) >= algebra.dim - 2):
         return known
-    degree = max(
-        (d for d in range(1, MAX_SEARCH_DEGREE + 1) if _search_size(algebra.dim, d, constants) <= MAX_SEARCH_SIZE),
-        default=0,
-    )
+    sizes = {d: math.comb(algebra.dim + d - 1, d) * max(1.0, constants / algebra.dim) for d in SEARCH_DEGREES}
+    degree = max((d for d, size in sizes.items() if size <= MAX_SEARCH_SIZE), default=0)
     if degree < 2 or (known and len(known) >= algebra.dim - algebra.generic_rank()):
         return known
     if algebra not in _CASIMIR_CACHE:
@@ -63,10 +61,6 @@ def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
             _CASIMIR_CACHE[algebra] = {}
     casimirs = _CASIMIR_CACHE[algebra]
     return casimirs if len(getattr(casimirs, "independent", ())) > len(known) else known
-
-
-def _search_size(dim: int, degree: int, constants: int) -> float:
-    return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
 @suggest_keywords

@@ -211,7 +211,7 @@ def check_structure(system: Any) -> None:
             f"structure_function of {system.name} is its method, which is not compiled; make it a function of x, "
             "by @staticmethod or in __init__"
         )
-    check_skew(function, "structure_matrix", system.dim)
+    check_skew(function, system.dim)
     set_fields(system, _checked_function=function)
     defect = jacobi_defect(system) if system.jacobi else None
     if defect is not None:

@@ -333,18 +333,18 @@ def _compare(
         )
 
 
-def check_skew(function: Callable[..., Any], name: str, n: int) -> None:
+def check_skew(function: Callable[..., Any], n: int) -> None:
     """Raise ValueError unless a function of x returns skew (n, n) arrays at sample points."""
     for x in sample_points(n):
         with np.errstate(all="ignore"):
-            J = read_numbers(function(x), f"the value of {name}")
+            J = read_numbers(function(x), "the value of structure_matrix")
             if J.shape != (n, n):
-                raise ValueError(f"{name} returns shape {J.shape}; it must return ({n}, {n})")
+                raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({n}, {n})")
             size, excess = np.abs(J).max(initial=0.0), np.abs(J + J.T)
         # A point where J is not finite is skipped: it may lie outside the domain.
         if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
             i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
             raise ValueError(
-                f"{name} is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = {J[j, i]:g}; their "
-                "sum must be zero"
+                f"structure_matrix is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = "
+                f"{J[j, i]:g}; their sum must be zero"
             )

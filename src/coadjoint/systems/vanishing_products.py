@@ -102,17 +102,15 @@ def cancelling(products: Sequence[tuple[int, int, Iterable[GradientTerm], Any]])
     return [number if sizes[number] > 1 and number not in remaining else -1 for number in label]
 
 
-def derivatives_of(
-    polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None
-) -> dict[int, list[GradientTerm]]:
-    """Return the monomials of the gradient of a polynomial in coordinates of a system, times a factor."""
+def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int]) -> dict[int, list[GradientTerm]]:
+    """Return the monomials of the gradient of a polynomial in coordinates of a system."""
     found: dict[int, list[GradientTerm]] = {}
     for exponents, coefficient in polynomial.monomials.items():
         for k, power in enumerate(exponents):
             if power:
                 lower = [*exponents[:k], power - 1, *exponents[k + 1 :]]
                 factors = tuple(coordinates[a] for a, e in enumerate(lower) for _ in range(e))
-                found.setdefault(k, []).append((factor, factors, Fraction(exact_number(coefficient)) * power))
+                found.setdefault(k, []).append((None, factors, Fraction(exact_number(coefficient)) * power))
     return found
 
 

@@ -16,6 +16,7 @@ from coadjoint.systems.bodies.body import (
     bodies_algebra,
     central_coordinate,
     momentum_in_space,
+    quadratic_form,
 )
 from coadjoint.systems.bodies.body_pictures import momenta_of_bodies, pictures_beside_points
 from coadjoint.systems.bodies.body_systems import (
@@ -328,9 +329,7 @@ def _kinetic_energy(inertias: tuple[BodyInertia, ...], masses: Floats, dim: int)
         entries += [(begin + i, begin + j, float(inverse[i, j])) for i, j in zip(*np.nonzero(inverse), strict=True)]
     begin = PER_BODY * len(inertias)
     entries += [(begin + i, begin + i, 1.0 / m) for i, m in enumerate(np.repeat(masses, 3).tolist())]
-    rows, columns = (np.array([entry[k] for entry in entries], dtype=np.int64) for k in (0, 1))
-    values = np.array([entry[2] for entry in entries])
-    return Quadratic.from_entries(dim, rows, columns, values, np.zeros(dim), 0.0)
+    return quadratic_form(dim, entries, np.zeros(dim))
 
 
 def read_masses(masses: Any, inertias: Any) -> Floats:

@@ -103,7 +103,7 @@ def momentum_in_space(count: int, dim: int, alone: bool = False, turning: bool =
     for axis in range(3) if positions else ():
         linear = np.zeros(dim)
         linear[PER_BODY * count + axis : (PER_BODY + 3) * count : 3] = 1.0
-        found[f"total p{axis + 1}"] = partial(_quadratic, dim, [], linear)
+        found[f"total p{axis + 1}"] = partial(quadratic_form, dim, [], linear)
     for axis in range(3) if turning else ():
         pairs = [(PER_BODY * body + i, _axis(body, axis, i), 1.0) for body in range(count) for i in range(3)]
         second, third = (axis + 1) % 3, (axis + 2) % 3
@@ -118,7 +118,7 @@ def central_coordinate(dim: int) -> Quadratic:
     """Return the Casimir z, the last coordinate."""
     linear = np.zeros(dim)
     linear[-1] = 1.0
-    return _quadratic(dim, [], linear)
+    return quadratic_form(dim, [], linear)
 
 
 def _axis(body: int, axis: int, component: int) -> int:
@@ -128,10 +128,11 @@ def _axis(body: int, axis: int, component: int) -> int:
 def _form(dim: int, pairs: list[tuple[int, int, float]]) -> Quadratic:
     """Return the quadratic function with M_ij = M_ji = value for pairs (i, j, value)."""
     both = {(i, j): value for i, j, value in pairs} | {(j, i): value for i, j, value in pairs}
-    return _quadratic(dim, sorted((i, j, value) for (i, j), value in both.items()), np.zeros(dim))
+    return quadratic_form(dim, sorted((i, j, value) for (i, j), value in both.items()), np.zeros(dim))
 
 
-def _quadratic(dim: int, entries: list[tuple[int, int, float]], linear: npt.NDArray[np.float64]) -> Quadratic:
+def quadratic_form(dim: int, entries: list[tuple[int, int, float]], linear: npt.NDArray[np.float64]) -> Quadratic:
+    """Return the function with these entries (i, j, M_ij), of both triangles, and linear coefficients."""
     rows, columns = (np.array([entry[k] for entry in entries], dtype=np.int64) for k in (0, 1))
     values = np.array([entry[2] for entry in entries], dtype=np.float64)
     return Quadratic.from_entries(dim, rows, columns, values, linear, 0.0)
@@ -271,7 +272,7 @@ def body(
     parameters |= {"wheels": as_tuples(turning), "gyros": as_tuples(steering), "held": held}
     carried = names_of_rotors(turning, steering)
     names = (*carried, *(f"held{i + 1}" for i in range(held)))
-    algebra = with_carried(attitude_algebra() if attitude else rotations(), names)
+    algebra = with_carried(attitude_algebra() if attitude else rotations(3), names)
     if carried:
         (M,) = _energy(found.tensor, turning, gyros=steering, attitude=attitude, held=held)
     else:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import heisenberg
-from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.inertia import check_products, read_in_range, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -99,7 +98,7 @@ def double_spherical_pendulum(
     check_products("masses, lengths and gravity", lambda: [m1 * m2 * l1 * l1 * l2 * l2, *weights])
     H = pendulum_energy(first, second, g)
     return LiePoissonSystem(
-        _algebra(),
+        heisenberg(6),
         H,
         sign=+1,
         name="double_spherical_pendulum",
@@ -112,11 +111,6 @@ def _pair(argument: Any, what: str) -> tuple[float, float]:
     numbers = read_vector(argument, what, 2).tolist()
     first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers))
     return first, second
-
-
-@cache
-def _algebra() -> LieAlgebra:
-    return heisenberg(6)
 
 
 def _integrals(gravity: float) -> dict[str, Quadratic]:

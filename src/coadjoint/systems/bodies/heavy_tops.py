@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
@@ -169,10 +168,7 @@ def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.floa
     return None
 
 
-@cache
-def rigid_motions() -> LieAlgebra:
-    """Return e(3), cached: one object for all tops and bodies in fluids."""
-    return catalogue.e(3)
+rigid_motions = cache(catalogue.e)  # one object for all tops and bodies in fluids, also if none is in use
 
 
 def _lagrange_energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
@@ -255,12 +251,8 @@ def _read_off_axis(ratio: float, equatorial: Any, lever: Any) -> dict[str, Any]:
     return {"equatorial": moment, "lever": (u, v)}
 
 
-def _kovalevskaya_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    return _energy_off_axis(0.5, equatorial, lever)
-
-
 @ready_made(
-    energy=_kovalevskaya_energy,
+    energy=partial(_energy_off_axis, 0.5),
     coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
@@ -307,15 +299,11 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     1.0
     """
     parameters = _read_off_axis(0.5, equatorial, lever)
-    return top_under_gravity(_kovalevskaya_energy(**parameters), "kovalevskaya_top", parameters)
-
-
-def _goryachev_chaplygin_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    return _energy_off_axis(0.25, equatorial, lever)
+    return top_under_gravity(_energy_off_axis(0.5, **parameters), "kovalevskaya_top", parameters)
 
 
 @ready_made(
-    energy=_goryachev_chaplygin_energy,
+    energy=partial(_energy_off_axis, 0.25),
     coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
@@ -359,7 +347,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
     array([18., -5., -3.,  1.,  1., -1.])
     """
     parameters = _read_off_axis(0.25, equatorial, lever)
-    return top_under_gravity(_goryachev_chaplygin_energy(**parameters), "goryachev_chaplygin_top", parameters)
+    return top_under_gravity(_energy_off_axis(0.25, **parameters), "goryachev_chaplygin_top", parameters)
 
 
 def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:

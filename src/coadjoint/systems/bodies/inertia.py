@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -12,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import (
@@ -178,25 +177,16 @@ def warn_unphysical_inertia(inertia: npt.ArrayLike, algebra: str | None = "so(3)
     moments = np.diag(scaled) if array.ndim == 1 else np.linalg.eigvalsh(scaled)
     if 2.0 * moments.max() - moments.sum() > ROUNDING_TOLERANCE * moments.sum():
         text = f"{what}: a principal moment exceeds the sum of the other two, which no body has"
-        _warn(text if algebra is None else f"{text}; {_QUADRATIC_FORM_HINT.format(algebra)}")
+        hint = "" if algebra is None else f"; {_QUADRATIC_FORM_HINT.format(algebra)}"
+        warn_caller(text + hint, UserWarning)
 
 
 def warn_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
     """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off."""
     principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
     if principal.min() < -ROUNDING_TOLERANCE * np.abs(principal).max():
-        _warn(
-            "inertia: a second moment of the mass is negative, which no body has; "
-            f"{_QUADRATIC_FORM_HINT.format(f'so({len(principal)})')}"
-        )
-
-
-def _warn(text: str) -> None:
-    """Warn at the innermost calling line outside the package, so that Python's filter shows it once per line."""
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] == "coadjoint":
-        level, frame = level + 1, frame.f_back
-    warnings.warn(text, UserWarning, stacklevel=level + 1)
+        hint = _QUADRATIC_FORM_HINT.format(f"so({len(principal)})")
+        warn_caller(f"inertia: a second moment of the mass is negative, which no body has; {hint}", UserWarning)
 
 
 Floats = npt.NDArray[np.float64]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from functools import cache, partial
+from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_states
 from coadjoint.systems.bodies.inertia import (
@@ -196,13 +195,10 @@ def so3_body(kind: type[Kind], M: npt.NDArray[np.float64], *, sign: int, name: s
     """Return the system on so(3) with ``H = x . M x / 2``, M (3,) or (3, 3), and its closed form."""
     # Sign -1 gives the body equations, +1 the convention of Reich (1993).
     exact = partial(exact_solution, M, sign)
-    return kind(rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
+    return kind(rotations(3), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
 
 
-@cache
-def rotations() -> LieAlgebra:
-    """Return so(3), cached: one object for all bodies."""
-    return catalogue.so(3)
+rotations = lru_cache(maxsize=8)(catalogue.so)  # one object for all bodies, also if none is in use
 
 
 def _energy_with_rotors(
@@ -286,7 +282,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     H = Quadratic(M, linear, float(constant))
     axis, m = axis_of_symmetry(M, k), principal(M)
     return ClassicalBody(
-        rotations(),
+        rotations(3),
         H,
         sign=-1,
         name="gyrostat",

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra import catalogue
 from coadjoint.algebra.exact.numbers import fraction, rational
-from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import check_symmetric_matrix, read_vector, warn_negative_mass, with_change
+from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -28,12 +26,6 @@ MAX_SO_DIMENSION = 6
 """Largest n with integrals of degree 4 and higher; their number of terms grows at least like n^4."""
 MAX_TRACE_POWER = 10
 """Largest power of a in a quadratic integral; higher ones would overflow float64 in large dimensions."""
-
-
-@lru_cache(maxsize=8)
-def rotations(n: int) -> LieAlgebra:
-    """Return so(n), cached: one object for all bodies."""
-    return catalogue.so(n)
 
 
 def planes(n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.exact.numbers import ball, midpoint
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.closed_form import move_state, move_state_and_element
@@ -45,7 +46,7 @@ def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
     bits = working_bits(t, _root(square), 6.0)
     with ctx.workprec(2 * bits):
         speed = ball(square).sqrt()
-        direction = np.array([float(fraction_of(ball(v) / speed)) for v in exact])
+        direction = np.array([float(midpoint(ball(v) / speed)) for v in exact])
         _, angles = remainders(speed, 2 * arb.pi(), t, bits)
     K = _cross_matrix(direction)
     angle = angles[:, None, None]
@@ -66,13 +67,9 @@ def _frames(x: Floats, axis: int) -> Floats:
     return np.stack([first, np.cross(n, first), n], axis=1)
 
 
-def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
+def _along_principal_axes(m: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Floats, Floats]:
     """Return momentum (k, 3) and attitude (k, 3, 3) of a free rigid body with inverse moments m at t; A(0) = 1."""
     # T, L^2 and differences of 2T and m L^2 are rational: they cancel near the separatrix and permanent rotations.
-    return _along_principal_axes([Fraction(v) for v in m.tolist()], [Fraction(v) for v in x0.tolist()], t)
-
-
-def _along_principal_axes(m: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Floats, Floats]:
     pairs = ((0, 1), (1, 2), (0, 2))
     start = np.array([float(v) for v in x0])
     if all(m[i] == m[j] or x0[i] == 0 or x0[j] == 0 for i, j in pairs):
@@ -166,7 +163,7 @@ def _phases(
         gain = arb(0)
         counts = [0] * t.size
         if complement == 0:
-            u = np.array([float(fraction_of(lam * arb(time))) for time in t.tolist()])
+            u = np.array([float(midpoint(lam * arb(time))) for time in t.tolist()])
         else:
             square, one = ball(complement), acb(1)
             quarter = arb.pi() / (2 * arb(1).agm(square.sqrt()))
@@ -283,8 +280,8 @@ def remainders(
 ) -> tuple[list[int], Floats]:
     """Return the whole periods, nearest integers, in rate * t + jumps * jump for each time, and the remainders (k,)."""
     # `rate`, `jump` and `period` are `arb` of at least `working_bits`; `bits` counts fractional bits.
-    rate_units, period_units = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
-    jump_units = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
+    rate_units, period_units = (math.floor(midpoint(value) * 2**bits) for value in (rate, period))
+    jump_units = 0 if jump is None else math.floor(midpoint(jump) * 2**bits)
     counts, fractions = [], []
     for time, jump_count in zip(t.tolist(), jumps or [0] * t.size, strict=True):
         numerator, denominator = time.as_integer_ratio()
@@ -292,19 +289,6 @@ def remainders(
         counts.append((2 * phase + period_units) // (2 * period_units))
         fractions.append((phase - counts[-1] * period_units) / 2**bits)
     return counts, np.array(fractions)
-
-
-def fraction_of(value: Any) -> Fraction:
-    """Return the midpoint of a ball as a fraction."""
-    digits, exponent = value.mid().man_exp()
-    return Fraction(int(digits)) * Fraction(2) ** int(exponent)
-
-
-def ball(value: Fraction) -> Any:
-    """Return a fraction as a ball of the current precision."""
-    from flint import arb, fmpq
-
-    return arb(fmpq(value.numerator, value.denominator))
 
 
 def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[list[Fraction]]]:
@@ -315,15 +299,15 @@ def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[lis
     with ctx.workprec(bits + 32):
         A = [[ball(Fraction(v)) for v in row] for row in M.tolist()]
         Q = [[ball(Fraction(int(i == j))) for j in range(3)] for i in range(3)]
-        size = max((abs(fraction_of(v)) for row in A for v in row), default=Fraction(0))
+        size = max((abs(midpoint(v)) for row in A for v in row), default=Fraction(0))
         for _ in range(MAX_SWEEPS):
-            if all(abs(fraction_of(A[p][q])) <= size / 2**bits for p, q in ((0, 1), (0, 2), (1, 2))):
+            if all(abs(midpoint(A[p][q])) <= size / 2**bits for p, q in ((0, 1), (0, 2), (1, 2))):
                 break
             for p, q in ((0, 1), (0, 2), (1, 2)):
-                if fraction_of(A[p][q]) != 0:
+                if midpoint(A[p][q]) != 0:
                     _jacobi_rotation(A, Q, p, q)
-        moments = [fraction_of(A[i][i]) for i in range(3)]
-        axes = [[fraction_of(v) for v in row] for row in Q]
+        moments = [midpoint(A[i][i]) for i in range(3)]
+        axes = [[midpoint(v) for v in row] for row in Q]
     for i, j in ((0, 1), (0, 2), (1, 2)):
         if abs(moments[i] - moments[j]) <= size / 2 ** (3 * bits // 4):
             moments[j] = moments[i]
@@ -334,7 +318,7 @@ def _jacobi_rotation(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> 
     """Make entry (p, q) zero by a Jacobi rotation; radii of balls are discarded."""
     slope = (A[q][q] - A[p][p]) / (2 * A[p][q])
     t = 1 / (abs(slope) + (slope * slope + 1).sqrt())
-    t = (-t if fraction_of(slope) < 0 else t).mid()
+    t = (-t if midpoint(slope) < 0 else t).mid()
     c = (1 / (t * t + 1).sqrt()).mid()
     s, r = (t * c).mid(), 3 - p - q
     A[p][p], A[q][q] = (A[p][p] - t * A[p][q]).mid(), (A[q][q] + t * A[p][q]).mid()

@@ -143,7 +143,7 @@ def decorated_particles(
     if U is not None and np.any(U[1::2]):
         raise ValueError(f"pair is {short(U.tolist())}; the potential of a pair is even, with no odd powers")
     if functions[1]:
-        check_even(functions[1], "pair")
+        check_even(functions[1])
     q, p, x20 = np.arange(n), np.arange(n, 2 * n), 2 * n + 1 + 3 * np.arange(n)
     if W is not None and U is not None:
         H: Any = Polynomial(_energy(w, W, pair=U), dim=algebra.dim)
@@ -248,12 +248,12 @@ def validate_potential(argument: Any, what: str) -> DerivativeFunctions | None:
     return None
 
 
-def check_even(chain: DerivativeFunctions, what: str) -> None:
-    """Raise ValueError if a potential is not even."""
+def check_even(chain: DerivativeFunctions) -> None:
+    """Raise ValueError if the potential of a pair is not even."""
     for r in (0.375, 1.5):
         right, left = float(chain[0](r)), float(chain[0](-r))
         if not abs(right - left) <= 64 * UNIT_ROUNDOFF * (abs(right) + abs(left)):
-            raise ValueError(f"{what} is {right:g} at {r} and {left:g} at {-r}; the potential of a pair is even")
+            raise ValueError(f"pair is {right:g} at {r} and {left:g} at {-r}; the potential of a pair is even")
 
 
 def energy_coefficients(w: Numbers, W: Numbers, U: Floats) -> dict[tuple[int, ...], Any]:

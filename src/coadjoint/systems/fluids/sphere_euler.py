@@ -146,7 +146,8 @@ class SphereEuler(FluidSystem):
         return spherical_modes.latitudes(points, rows), spherical_modes.longitudes(columns)
 
     def _shape(self, shape: Any) -> tuple[int, int]:
-        return read_shape(shape, (2, 1), spherical_modes.default_shape(self.algebra.N))
+        N = self.algebra.N  # by default the smallest grid with poles and an even number of columns for all degrees
+        return read_shape(shape, (2, 1), (N + 1, 2 * N))
 
     def to_grid(
         self, W: Any, shape: Any = None, points: str = "clenshaw-curtis", *, absolute: bool | None = None
@@ -217,7 +218,7 @@ class SphereEuler(FluidSystem):
         if is_xarray(values):
             if points != "clenshaw-curtis" or first:
                 raise ValueError("values have coordinates, which determine points and longitude; omit these")
-            return self._of_labelled(values, absolute, "from_grid")
+            return self._of_labelled(values, absolute)
         return self._state(self._from_values(read_values(values), points, first), absolute, "from_grid")
 
     def _from_values(self, field: Floats, points: str, longitude: float) -> Matrix:

@@ -187,7 +187,7 @@ class TorusEuler(FluidSystem):
         (..., N, N) array
         """
         if is_xarray(values):
-            return self._of_labelled(values, absolute, "from_grid")
+            return self._of_labelled(values, absolute)
         # the mean is a multiple of the unit matrix, which is not in the algebra
         W = self.algebra.projected(matrix_of_modes(torus_modes.modes_of(read_values(values), self.algebra.N)))
         return self._state(W, absolute, "from_grid")

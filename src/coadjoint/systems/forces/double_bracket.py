@@ -114,7 +114,8 @@ class DoubleBracketDamping(Force):
             check_moved(f"metric of {self.label}", system, moved_by(system, used))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return np.asarray(_product(system, x, self._damping_direction(system, x, t)))
+        J = system.algebra.structure_matrix(x)
+        return np.asarray(system.sign * (J @ self._damping_direction(system, x, t)))
 
     def _metric_on(self, system: Any) -> Any:
         """Return the metric; a number is that of the coordinates whose brackets change momenta only."""
@@ -362,11 +363,6 @@ class HeatBath(DoubleBracketDamping):
 def _is_settled(change: float, last_change: float, x: NDArray[Any]) -> bool:
     """Test whether an iteration ends: its changes are those of rounding, and no longer halve."""
     return change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x))))
-
-
-def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
-    """Return sign J(x) u."""
-    return np.asarray(system.sign * (system.algebra.structure_matrix(x) @ u))
 
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:

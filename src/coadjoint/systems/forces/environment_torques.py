@@ -84,8 +84,9 @@ class GravityGradient(BodyTorque):
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, crossed = body_products()
-        inertia = _inertia(system)
-        mu, position, Q = self.mu, prescribed(self.position), _anisotropic(tensor(self.quadrupole))
+        inertia = np.ascontiguousarray(system.inertias[0].anisotropic)
+        mu, position, Q = self.mu, prescribed(self.position), tensor(self.quadrupole)
+        Q = 0.5 * (Q + Q.T) - np.trace(Q) / 3.0 * np.eye(3)
         round_centre = not Q.any()
 
         def torque(x: Any, A: Any, t: Any) -> Any:
@@ -110,14 +111,6 @@ class GravityGradient(BodyTorque):
             return result
 
         return torque
-
-
-def _inertia(system: Any) -> Any:
-    return np.ascontiguousarray(system.inertias[0].anisotropic)
-
-
-def _anisotropic(Q: Any) -> Any:
-    return 0.5 * (Q + Q.T) - np.trace(Q) / 3.0 * np.eye(3)
 
 
 @suggest_keywords

@@ -23,7 +23,6 @@ from coadjoint.systems.forces.mode_force import (
     layer_vector,
     modes_of,
     read_layer,
-    values_by_scale,
 )
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.systems.user_functions import check_arguments
@@ -73,7 +72,11 @@ class Friction(ModeRates):
         self._read(layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        return values_by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")
+        rate, scales = self.rate, modes.scales(d, numbers)
+        if not callable(rate):
+            return np.full(scales.shape, rate)
+        values = {s: read_number(rate(s), f"rate of Friction at {s:g}") for s in np.unique(scales).tolist()}
+        return np.array([values[s] for s in scales.tolist()])
 
 
 MAX_POWER = 32

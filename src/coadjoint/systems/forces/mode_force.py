@@ -15,7 +15,7 @@ from coadjoint.systems.coordinates import rest_of
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.matrices.spherical_modes import harmonics
 from coadjoint.systems.matrices.torus_modes import representatives
-from coadjoint.validation import read_choice, read_number
+from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -176,33 +176,15 @@ def layer_index(system: Any, layer: str) -> int:
     return 0
 
 
-def mode_basis_of(system: Any) -> ModeBasis | None:
-    """Return the modes of a matrix system, from its stream; None if its modes are the entries."""
+def modes_of(system: Any, what: str) -> ModeBasis:
+    """Return the modes of a matrix system, from its stream; raise ValueError if its modes are the entries."""
     kind = getattr(getattr(system, "stream", None), "modes", "")
     if not kind or (kind == Harmonics.kind and not system.complex):
-        return None
-    return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N)
-
-
-def modes_of(system: Any, what: str) -> ModeBasis:
-    """Return the modes of a system; raise ValueError if it has none."""
-    modes = mode_basis_of(system)
-    if modes is None:
         raise ValueError(
             f"{what} acts on the modes of a fluid, such as sphere_euler or torus_euler, which {system.name} does not "
             "have; take LinearDamping"
         )
-    return modes
-
-
-def values_by_scale(
-    argument: float | Callable[[Any], Any], scales: npt.NDArray[np.float64], what: str
-) -> npt.NDArray[np.float64]:
-    """Return a number for each mode: a constant, or a validated function of the degrees or wave numbers."""
-    if not callable(argument):
-        return np.full(scales.shape, argument)
-    values = {scale: read_number(argument(scale), f"{what} at {scale:g}") for scale in np.unique(scales).tolist()}
-    return np.array([values[scale] for scale in scales.tolist()])
+    return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N)
 
 
 def read_layer(value: Any, what: str) -> str:

@@ -70,6 +70,7 @@ class Exponential(NamedTuple):
     substeps: int
     terms: tuple[Floats, ...]
     end: Floats
+    of_damping: bool = False
 
     @classmethod
     def of(cls, bracket: Bracket, v: Floats, x: Floats) -> Exponential:
@@ -101,11 +102,6 @@ class Exponential(NamedTuple):
             row = rows[-1]
         return row, of_v
 
-    @property
-    def of_damping(self) -> bool:
-        """Whether it is the step of a damping."""
-        return False
-
     def along(self, energy: EnergyDerivative, of_v: Floats) -> Any:
         """Return zero: v does not depend on the energy."""
         return 0.0
@@ -120,6 +116,7 @@ class Midpoint(NamedTuple):
     metric: Callable[[Floats], Floats]
     gradient: Floats
     hessian: Any
+    of_damping: bool = True
 
     @property
     def end(self) -> Floats:
@@ -130,11 +127,6 @@ class Midpoint(NamedTuple):
     def v(self) -> Floats:
         """Direction of the exponential."""
         return self.whole.v
-
-    @property
-    def of_damping(self) -> bool:
-        """Whether it is the step of a damping."""
-        return True
 
     def pull(self, row: Floats) -> tuple[Floats, Floats]:
         """Return the cotangents of x and of what is added to v."""

@@ -272,15 +272,11 @@ def _state_at(n: int, start: Floats, time: float) -> Floats:
         with ctx.workprec(bits):
             state = _by_cholesky(n, [arb(v) for v in start.tolist()], arb(time))
             tolerance = 2.0**-60 * size
-            if state and all(q.rad() < tolerance for q in state[:n]) and all(_is_accurate(q) for q in state[n:]):
+            accurate = all(q.is_exact() or q.rel_accuracy_bits() > 60 for q in state[n:])
+            if state and all(q.rad() < tolerance for q in state[:n]) and accurate:
                 return np.array([float(q.mid()) for q in state])
         bits *= 2
     raise ValueError(f"t is {time:g}, too long for the closed form from this state; integrate, or start later")
-
-
-def _is_accurate(q: Any) -> bool:
-    """Return whether a ball is accurate to 60 bits, or exact."""
-    return bool(q.is_exact() or q.rel_accuracy_bits() > 60)
 
 
 def _by_cholesky(n: int, x: list[Any], time: Any) -> list[Any]:

@@ -133,12 +133,12 @@ class FluidSystem(MatrixSystem):
             _warn_of_frame(name)
         return not self.rotation
 
-    def _of_labelled(self, values: Any, absolute: Any, name: str) -> Complexes:
+    def _of_labelled(self, values: Any, absolute: Any) -> Complexes:
         """Return the states of an array of xarray, by its coordinates, and by its attributes if `absolute` is None."""
         absolute = is_absolute(values) if absolute is None else absolute
         field = labelled_field(values, self.surface, str(values.name or "values"))
         try:
-            return self._state(self.from_coordinates(*field[:3]), absolute, name)
+            return self._state(self.from_coordinates(*field[:3]), absolute, "from_grid")
         except ValueError as reason:
             raise ValueError(f"{reason}{field.assumed}") from None
 
@@ -269,12 +269,12 @@ def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int])
     )
 
 
-def read_values(values: Any, what: str = "values") -> Floats:
+def read_values(values: Any) -> Floats:
     """Validate real, finite values on a grid, (..., rows, columns)."""
-    field = read_numbers(to_array(values, what), what)
+    field = read_numbers(to_array(values, "values"), "values")
     if field.ndim < 2:
-        raise ValueError(f"{what} has the shape {field.shape}; give (..., rows, columns)")
-    check_finite(field, what)
+        raise ValueError(f"values has the shape {field.shape}; give (..., rows, columns)")
+    check_finite(field, "values")
     return field
 
 

@@ -252,11 +252,6 @@ GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
 """Rows of latitude: equally spaced with the poles, equally spaced without them, Gauss-Legendre nodes."""
 
 
-def default_shape(N: int) -> tuple[int, int]:
-    """Return the smallest grid with poles and an even number of columns that resolves all degrees below N."""
-    return N + 1, 2 * N
-
-
 def resolved(points: str, rows: int) -> int:
     """Return the largest degree that a grid with this number of rows resolves."""
     return rows - 2 if points == "clenshaw-curtis" else rows - 1

@@ -170,7 +170,12 @@ class Circulants:
         set_fields(self, table=np.ascontiguousarray(columns[: (N + 1) // 2]).ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
-        return self._scaled(W, self.spectrum)
+        rows = np.arange(len(self.spectrum))
+        columns = (rows[None, :] + rows[:, None]) % len(rows)  # columns[d, a]
+        diagonals = W[..., rows[None, :], columns]
+        P = np.empty_like(W)
+        P[..., rows[None, :], columns] = np.fft.ifft(np.fft.fft(diagonals, axis=-1) * self.spectrum, axis=-1)
+        return P
 
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P; modes in the kernel of the stream are dropped."""
@@ -184,15 +189,6 @@ class Circulants:
     def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
         """Return the eigenvalues of the stream on modes of a diagonal."""
         return np.asarray(self.spectrum[d, 2 * numbers % modes.N])
-
-    def _scaled(self, W: Matrix, spectrum: Floats) -> Matrix:
-        N = len(spectrum)
-        rows = np.arange(N)
-        columns = (rows[None, :] + rows[:, None]) % N  # columns[d, a]
-        diagonals = W[..., rows[None, :], columns]
-        P = np.empty_like(W)
-        P[..., rows[None, :], columns] = np.fft.ifft(np.fft.fft(diagonals, axis=-1) * spectrum, axis=-1)
-        return P
 
 
 @dataclass(frozen=True, eq=False)
