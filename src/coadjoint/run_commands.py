@@ -90,7 +90,7 @@ def _given(options: Mapping[str, str | None]) -> dict[str, str | None]:
 
 def _output_paths(name: str, declared: Mapping[str, str | None]) -> dict[str, Path]:
     """Validate the paths of archive, dataset, figure and movie of a file or of options."""
-    from coadjoint.files.archives.new_archive import check_new
+    from coadjoint.files.archives.archived_run import check_new
     from coadjoint.files.configuration.parsing import section
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_movie, check_target
 

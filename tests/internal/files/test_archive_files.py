@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.archives.archive import Archive
+from coadjoint.files.archives.archive import Archive, read_root
 from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder
-from coadjoint.files.archives.root import ROOT_FILE, read_root
 from coadjoint.files.archives.store import ArchiveStore
-from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
+from coadjoint.files.archives.stored_arrays import METADATA_FILE, StoredArray, deserialize_numbers
 from guards import open_descriptors
 from refusals import refused
 
@@ -73,7 +72,7 @@ def test_xarray_reads_exactly_the_committed_part(store, consolidated):
 
 def test_readers_see_the_commit_of_their_root(store):
     store.commit({}, {"time": 20}, [written(store, 0, 20)])
-    known = Archive(store.path, *read_root(store.path))
+    known = Archive.at(store.folder)
     known.check_extent()  # reads the checksums of this commit, as when an archive is opened
     store.commit({}, {"time": 50}, [written(store, 20, 50)])
     assert np.array_equal(known.read("x"), X[:20])
@@ -100,7 +99,7 @@ def test_full_disk_leaves_the_last_commit(store, monkeypatch):
         for write in (lambda: written(store, 20, 30), lambda: store.commit({}, {"time": 30}, [stored])):
             with pytest.raises(OSError, match="No space left"):
                 write()
-    known = Archive(store.path, *read_root(store.path))
+    known = Archive.at(store.folder)
     assert np.array_equal(known.read("x"), X[:20])
     assert np.array_equal(store.read_state(stored)["momenta"], X[:20])
     assert not list(store.path.rglob("*.writing"))
@@ -136,56 +135,53 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
     (tmp_path / "in" / "link").symlink_to("file")
     (tmp_path / "in" / "nowhere").symlink_to("none")
     before = open_descriptors()
-    with ArchiveFolder(tmp_path) as folder:
-        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"max_bytes": 10})]
-        assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
-        for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
-            with pytest.raises(OSError) as error:
-                folder.read("in", name)
-            assert error.value.errno == number
-        with pytest.raises(OSError):
-            folder.read("", "in")
-        with refused(ValueError, 10, 9):
-            folder.read("in", "file", max_bytes=9)
-        with monkeypatch.context() as patched:
-            patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
-            patched.setattr("coadjoint.memory.available", lambda: 19)
-            assert folder.read("in", "file", head=9) == b"012345678"
-            with pytest.raises(ValueError, match="it needs about"):
-                folder.read("in", "file")
-        folder.remove("in", "link")
-        folder.remove("in", "link")
-        tmp_path.rename(tmp_path.with_name("aside"))
-        assert folder.names("in") == {"file", "pipe", "nowhere"}, "the folder stays the same when it is renamed"
+    folder = ArchiveFolder(tmp_path)
+    read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"max_bytes": 10})]
+    assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
+    for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
+        with pytest.raises(OSError) as error:
+            folder.read("in", name)
+        assert error.value.errno == number
+    with pytest.raises(OSError):
+        folder.read("", "in")
+    with refused(ValueError, 10, 9):
+        folder.read("in", "file", max_bytes=9)
+    with monkeypatch.context() as patched:
+        patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
+        patched.setattr("coadjoint.memory.available", lambda: 19)
+        assert folder.read("in", "file", head=9) == b"012345678"
+        with pytest.raises(ValueError, match="it needs about"):
+            folder.read("in", "file")
+    folder.remove("in", "link")
+    folder.remove("in", "link")
     assert open_descriptors() == before
 
 
-def test_archive_folder_follows_no_links_where_the_system_cannot_refuse_them(tmp_path, monkeypatch):
-    """As on Windows, which has neither descriptors of folders nor O_NOFOLLOW."""
+def test_archive_folder_follows_no_links(tmp_path, monkeypatch):
+    """Also where the system cannot refuse them, as on Windows, which has no O_NOFOLLOW."""
     for name in ("in", "outside"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "file").write_bytes(b"0123456789")
     (tmp_path / "in" / "link").symlink_to(tmp_path / "outside" / "file")
     (tmp_path / "linked").symlink_to(tmp_path / "outside")
-    monkeypatch.setattr("coadjoint.files.archives.folder.USE_DIR_FD", False)
     monkeypatch.delattr(os, "O_NOFOLLOW", raising=False)
     before = open_descriptors()
-    with ArchiveFolder(tmp_path) as folder:
-        assert folder.read("in", "file", head=4) == b"0123"
-        for place in (("in", "link"), ("linked", "file")):
-            for read in (folder.read, partial(folder.read, head=4)):
-                with pytest.raises(OSError) as error:
-                    read(*place)
-                assert error.value.errno == errno.ELOOP
+    folder = ArchiveFolder(tmp_path)
+    assert folder.read("in", "file", head=4) == b"0123"
+    for place in (("in", "link"), ("linked", "file")):
+        for read in (folder.read, partial(folder.read, head=4)):
             with pytest.raises(OSError) as error:
-                folder.lock(*place)
+                read(*place)
             assert error.value.errno == errno.ELOOP
-        (tmp_path / "in" / "new").symlink_to(tmp_path / "outside" / "new")
-        with pytest.raises(OSError):
-            folder.lock("in", "new")
-        assert not (tmp_path / "outside" / "new").exists()
-        folder.write("in", "link", b"own")
-        assert folder.read("in", "link") == b"own"
+        with pytest.raises(OSError) as error:
+            folder.lock(*place)
+        assert error.value.errno == errno.ELOOP
+    (tmp_path / "in" / "new").symlink_to(tmp_path / "outside" / "new")
+    with pytest.raises(OSError):
+        folder.lock("in", "new")
+    assert not (tmp_path / "outside" / "new").exists()
+    folder.write("in", "link", b"own")
+    assert folder.read("in", "link") == b"own"
     assert (tmp_path / "outside" / "file").read_bytes() == b"0123456789"
     assert open_descriptors() == before
 
@@ -194,7 +190,6 @@ def test_archive_folder_follows_no_junctions(tmp_path, monkeypatch):
     """Junctions of Windows are folders with a tag."""
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "file").write_bytes(b"0123456789")
-    monkeypatch.setattr("coadjoint.files.archives.folder.USE_DIR_FD", False)
     monkeypatch.setattr(stat, "IO_REPARSE_TAG_MOUNT_POINT", 0xA0000003, raising=False)
     status, tags = os.stat, {tmp_path / "in": 0xA0000003}
 
@@ -203,12 +198,12 @@ def test_archive_folder_follows_no_junctions(tmp_path, monkeypatch):
         return SimpleNamespace(st_mode=found.st_mode, st_reparse_tag=tags.get(path, 0))
 
     monkeypatch.setattr(os, "stat", tagged)
-    with ArchiveFolder(tmp_path) as folder:
-        with pytest.raises(OSError) as error:
-            folder.read("in", "file")
-        assert error.value.errno == errno.ELOOP
-        tags.clear()
-        assert folder.read("in", "file") == b"0123456789"
+    folder = ArchiveFolder(tmp_path)
+    with pytest.raises(OSError) as error:
+        folder.read("in", "file")
+    assert error.value.errno == errno.ELOOP
+    tags.clear()
+    assert folder.read("in", "file") == b"0123456789"
 
 
 def test_leftovers_of_killed_processes_are_removed(store):
@@ -221,13 +216,13 @@ def test_leftovers_of_killed_processes_are_removed(store):
     for folder in folders:
         for name in (".zarr.json.writing", ".c.0.writing", "own.writing", ".writing.txt"):
             (store.path / folder / name).write_bytes(b"half")
-    metadata = store.path / "x" / ROOT_FILE
+    metadata = store.path / "x" / METADATA_FILE
     metadata.write_text(metadata.read_text().replace("[10, 3]", "[0, 3]"))
     again = ArchiveStore.open_existing(store.path)
     assert json.loads(metadata.read_text())["shape"] == [10, 3]
     again.commit({}, {"time": 40}, [written(again, 10, 40)])
     again.close()
-    known = Archive(store.path, *read_root(store.path))
+    known = Archive.at(store.folder)
     assert np.array_equal(known.read("x"), X[:40]), "chunks that were not committed"
     assert not (store.path / ".coadjoint" / "state-lost.npz").exists()
     for folder in folders:
@@ -266,15 +261,13 @@ def test_descriptors_and_locks_are_released(store, tmp_path, monkeypatch):
     with pytest.raises(OSError):
         moved.moved(store.path)
     with pytest.raises(ArchiveError):
-        read_root(tmp_path / "none.zarr")
+        read_root(ArchiveFolder(tmp_path / "none.zarr"))
     assert open_descriptors() == before
     again = ArchiveStore.open_existing(store.path)
     again.moved(tmp_path / "there.zarr")
     again.commit({}, {"time": 20}, [written(again, 10, 20)])
     again.close()
-    assert open_descriptors() == before and np.array_equal(
-        Archive(again.path, *read_root(again.path)).read("x"), X[:20]
-    )
+    assert open_descriptors() == before and np.array_equal(Archive.at(again.folder).read("x"), X[:20])
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors are not listed")
@@ -289,15 +282,14 @@ def test_order_of_writes_in_a_commit(store, monkeypatch):
         fsync(descriptor)
 
     def replaced(source, target, **folders):
-        inside = os.path.realpath(f"/proc/self/fd/{folders['src_dir_fd']}")
-        events.append(("name", os.path.relpath(os.path.join(inside, target), os.path.realpath(store.path))))
+        events.append(("name", os.path.relpath(os.path.realpath(target), os.path.realpath(store.path))))
         replace(source, target, **folders)
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", replaced)
     stored = written(store, 0, 20)
     store.commit({}, {"time": 20}, [stored])
-    root = events.index(("name", ROOT_FILE))
+    root = events.index(("name", METADATA_FILE))
     named = [name for kind, name in events if kind == "name"]
     assert {f".coadjoint/{stored.file}", "x/c.0.0", "x/c.1.1", "time/c.1"} <= {
         n for k, n in events[:root] if k == "name"
@@ -372,8 +364,8 @@ def test_locks_that_cannot_be_opened_are_not_those_of_another_process(tmp_path, 
 
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr(os, "open", refuse)
-            with ArchiveFolder(store.path) as folder, pytest.raises(OSError, match=reason):
-                folder.lock(".coadjoint", "lock")
+            with pytest.raises(OSError, match=reason):
+                ArchiveFolder(store.path).lock(".coadjoint", "lock")
             with pytest.raises(ArchiveError, match=rf"cannot be written \(.*{reason}.*its content is unchanged"):
                 ArchiveStore.open_existing(store.path)
         place.rmdir() if place.is_dir() else place.unlink()

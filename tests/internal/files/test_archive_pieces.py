@@ -74,7 +74,7 @@ def test_opening_during_commits(tmp_path, monkeypatch, commits):
         moved.append(stored)
         if len(moved) <= commits:
             self.attributes["elapsed"] += 1.0  # of a root that is not the last one
-            raise ArchiveError(f"{self.path}: the state {stored.file} is missing")
+            raise ArchiveError(f"{self.folder}: the state {stored.file} is missing")
         return read(self, stored)
 
     monkeypatch.setattr(Archive, "read_state", gone)

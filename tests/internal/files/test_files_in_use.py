@@ -11,7 +11,6 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files.archives import folder as archive_folder
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.output import atomic_output
 from coadjoint.files.output.atomic_output import (
@@ -67,11 +66,9 @@ def windows(monkeypatch):
 
         return remove
 
-    replace, unlink = os.replace, os.unlink
-    monkeypatch.setattr(archive_folder, "USE_DIR_FD", False)
-    monkeypatch.setattr(os, "replace", lambda a, b, src_dir_fd=None, dst_dir_fd=None: renaming(replace)(a, b))
+    monkeypatch.setattr(os, "replace", renaming(os.replace))
     monkeypatch.setattr(os, "rename", renaming(os.rename))
-    monkeypatch.setattr(os, "unlink", removing(unlink))
+    monkeypatch.setattr(os, "unlink", removing(os.unlink))
     monkeypatch.setattr(os, "remove", removing(os.remove))
     return refused
 
@@ -163,11 +160,11 @@ def test_rename_is_tried_again_for_a_second(tmp_path, monkeypatch, times):
     path, output, replace, waits, tried = tmp_path / "file", tmp_path / "run.nc", os.replace, [], []
     path.write_bytes(b"old")
 
-    def in_use(*arguments, **folders):
+    def in_use(*arguments):
         tried.append(arguments)
         if len(tried) <= times:
             raise PermissionError(errno.EACCES, "The process cannot access the file")
-        replace(*arguments, **folders)
+        replace(*arguments)
 
     monkeypatch.setattr(os, "replace", in_use)
     monkeypatch.setattr(atomic_output.time, "sleep", waits.append)

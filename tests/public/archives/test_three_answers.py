@@ -166,7 +166,7 @@ def unreadable(monkeypatch, name, error):
 
 FILES = {
     "root": ("unfinished", ROOT), "marker": ("unfinished", "block-000000"), "chunk": ("unfinished", "c.0.0.0"),
-    "folder": ("unfinished", "x"), "run": ("vector", "c.0.0"),
+    "run": ("vector", "c.0.0"),
 }  # fmt: skip
 
 

@@ -6,9 +6,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
+import dask
 import killed_workers
 import numpy as np
 import pytest
@@ -212,9 +214,10 @@ def test_killed_scheduler_is_replaced(tmp_path):
 
 @pytest.mark.long
 def test_blocks_of_a_stopped_worker_go_to_another(tmp_path, monkeypatch):
-    """It wakes up when the ensemble is finished, and changes nothing."""
+    """Dask finds that it is silent; if it wakes up when the ensemble is finished, it changes nothing."""
     archive, stopped = tmp_path / "many.zarr", []
     monkeypatch.setenv("COADJOINT_TIMEOUT", "5")
+    monkeypatch.setitem(dask.config.config["distributed"]["scheduler"], "worker-ttl", "5s")
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
         with Client(cluster) as client:
 
@@ -225,12 +228,10 @@ def test_blocks_of_a_stopped_worker_go_to_another(tmp_path, monkeypatch):
 
             thread = Thread(target=stop)
             thread.start()
-            with pytest.warns(RuntimeWarning, match="has not answered for 5 s"):
-                found = co.integrate_ensemble(
-                    *LONG, archive=archive, client=client, save_every=2000, members_per_block=1
-                )
+            found = co.integrate_ensemble(*LONG, archive=archive, client=client, save_every=2000, members_per_block=1)
             thread.join()
-            os.kill(stopped[0], signal.SIGCONT)
+            with suppress(ProcessLookupError):
+                os.kill(stopped[0], signal.SIGCONT)
             client.run(os.getpid)
     check_same(found, co.integrate(*LONG, save_every=2000))
     check_same(co.open_archive(archive), found)

@@ -23,11 +23,11 @@ from coadjoint.files.archives.archive import (
     STEPS,
     Archive,
     MemberBlock,
+    identity_of,
     sums_among,
     total_progress,
 )
-from coadjoint.files.archives.folder import ArchiveError, ArchiveUnreadable, Location, read_location, reading
-from coadjoint.files.archives.root import identity_of, read_root
+from coadjoint.files.archives.folder import ArchiveError, ArchiveUnreadable, Folder, read_location, reading
 from coadjoint.files.archives.run_checks import check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
@@ -61,7 +61,7 @@ class ArchivedSolution(StoredSolution):
     events = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return solution_at, (self._archive.path, self._given_system, identity_of(self.attributes))
+        return solution_at, (self._archive.folder, self._given_system, identity_of(self.attributes))
 
     def __repr__(self) -> str:
         state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
@@ -175,32 +175,32 @@ class ArchivedSolution(StoredSolution):
 def _opened(archive: Archive, system: Any) -> Solution:
     """Return the solution in an archive as committed when its root was read."""
     check_archive(archive)
-    fields: dict[str, Any] = {"path": getattr(archive.path, "url", archive.path), "_archive": archive}
+    fields: dict[str, Any] = {"path": archive.folder.path, "_archive": archive}
     fields |= {"attributes": archive.attributes, "_arrays": archive.arrays, "_given_system": system}
     state = None
     if not archive.has_blocks:
         stored = archive.read_state(archive.states[-1])
         archive.sums = sums_among(stored)
-        with reading(archive.path, "the archive"):
+        with reading(archive.folder, "the archive"):
             check_reported(stored, archive)
         state = {name: stored[name] for name in REPORTED_ARRAYS}
     archive.check_extent()
     return ArchivedSolution(fields | {"_state": state})
 
 
-def solution_at(location: Location, system: Any = None, identity: str | None = None) -> Solution:
+def solution_at(folder: Folder, system: Any = None, identity: str | None = None) -> Solution:
     """Return the solution in an archive as currently committed, of a given run if it is pickled; see `open_archive`."""
     require_packages("an archive of a run", "xarray", "zarr")
-    archive = Archive(location, *read_root(location))
+    archive = Archive.at(folder)
     if identity not in (None, identity_of(archive.attributes)):
-        raise ArchiveError(f"{location}: another run has taken the place of the one that was pickled")
+        raise ArchiveError(f"{folder}: another run has taken the place of the one that was pickled")
     for _ in range(ATTEMPTS - 1):
         try:
             return _opened(archive, system)
         except ArchiveUnreadable:
             raise
         except ArchiveError:
-            before, archive = archive, Archive(location, *read_root(location))
+            before, archive = archive, Archive.at(folder)
             if archive.attributes == before.attributes:  # otherwise a commit removed the state in between
                 raise
     return _opened(archive, system)

@@ -8,8 +8,8 @@ import tempfile
 import time
 import warnings
 import weakref
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,13 +19,18 @@ import numpy as np
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
-from coadjoint.files.archives.archive import FINISHED, MemberBlock, total_progress
+from coadjoint.files.archives.archive import (
+    FINISHED,
+    HIDDEN_FOLDER,
+    MemberBlock,
+    identity_of,
+    read_root,
+    total_progress,
+)
+from coadjoint.files.archives.archived_run import ArchiveSink, PlannedRun, create_archive
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
-from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path, timeout
-from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.root import HIDDEN_FOLDER, identity_of, read_root
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, read_archive_path, timeout
 from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
-from coadjoint.files.archives.sink import ArchiveSink
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import TIME, Variables, joined_complex
@@ -281,10 +286,8 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
                 on_client(pool.client, store, remaining, planned, pool.threads, progress)
             elif remaining:
                 on_processes(min(pool.worker_count, len(remaining)), store, remaining, planned, pool.threads, progress)
-        try:
+        with _writing(store):
             heads = finish_ensemble(store, began)
-        except OSError as reason:
-            raise _unwritten(store, reason) from reason
     solution = raise_if_failed(open_archive(path, prepared.system))
     lost = [head["lost"] for head in heads if "lost" in head]
     if remaining and lost and not warned:
@@ -296,19 +299,20 @@ def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: P
     """Run blocks in this process, one after the other."""
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         for block in remaining:
-            try:
-                store.check_not_replaced()
-            except OSError as reason:
-                raise _unwritten(store, reason) from reason
+            with _writing(store):
+                store.check_lock()
             if run_block(str(store.path), block, prepared, True, identity_of(store.attributes), None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
 
 
-def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
-    """Return the error for an archive that the blocks could not write."""
-    if_replaced, if_not = "the new content of this path was not changed", "the next call with this archive continues"
-    return unwritten_archive(store.path, reason, if_replaced, if_not)
+@contextmanager
+def _writing(store: ArchiveStore) -> Iterator[None]:
+    """Convert OSError to ArchiveUnwritten."""
+    try:
+        yield
+    except OSError as reason:
+        raise unwritten_archive(store.path, reason, "the next call with this archive continues") from reason
 
 
 def run_block(
@@ -317,10 +321,8 @@ def run_block(
     """Run a block of the archive of a run from its marker to its end; return the new head, or ``BUSY`` if locked."""
     path, host = Path(archive), platform.node()
     try:
-        with ExitStack() as opened:
-            folder = opened.enter_context(open_folder(path))
-            store = ArchiveStore(path, *read_root(path, folder), folder, block.lock_file)
-            opened.pop_all()  # the store closes it
+        folder = ArchiveFolder(path)
+        store = ArchiveStore(folder, *read_root(folder), block.lock_file)
     except ArchiveError as reason:
         raise ArchiveError(
             f"{reason} on the machine {host}; every worker must reach the folder by the same path"
@@ -371,7 +373,7 @@ def _start_of(store: ArchiveStore, name: str, block: MemberBlock) -> Any:
 def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
     blocks, lost, store.heads = store.blocks, set[int](), store.read_heads(whole_markers=True)
-    for name, indices in store.lost_chunks(store.folder):
+    for name, indices in store.lost_chunks():
         axis = store.axis_of_blocks(name)
         if axis is not None:
             lost.add(indices[axis])

@@ -9,9 +9,8 @@ from __future__ import annotations
 import errno
 import os
 import re
-import stat
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,16 +20,14 @@ from coadjoint.files.output.atomic_output import (
     TEMPORARY_SUFFIX,
     open_locked,
     reject_link,
-    sync_to_disk,
     write_atomically,
 )
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import MissingPackageError, require_packages
+from coadjoint.regular_files import open_regular
 from coadjoint.short_repr import short
 from coadjoint.validation import read_number
 
-USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
-"""Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
 NOT_REGULAR_REASON = "no regular file"
 UNWRITTEN_KINDS = (errno.ELOOP, errno.EINVAL, errno.EISDIR, errno.ENOTDIR)
 """Errors of entries that are no files of an archive: links, folders, pipes."""
@@ -85,96 +82,39 @@ def timeout() -> float:
 
 
 class ArchiveFolder:
-    """The open folder of an archive, also if its path is renamed; only `path`, from the user, may contain links."""
+    """The folder of an archive on this machine; only its own path, from the user, may contain links."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
-        self._descriptor: int | None = None
-        try:
-            if USE_DIR_FD:
-                self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-            elif not path.is_dir():
-                os.scandir(path).close()  # raises the specific OSError
-        except NotADirectoryError:
-            raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
 
-    def __enter__(self) -> ArchiveFolder:
-        return self
+    def __str__(self) -> str:
+        return str(self.path)
 
-    def __exit__(self, *ended: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the folder."""
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
-
-    @contextmanager
-    def _at(self, folder: str, file: str = "") -> Iterator[tuple[Path, int | None]]:
-        """Yield the path of a file in a subfolder ('': this one) and the descriptor it is relative to, if any."""
-        if not USE_DIR_FD:
-            reject_link(self.path / folder, None)
-            yield self.path / folder / file, None
-            return
-        assert self._descriptor is not None
-        if not folder:
-            yield Path(file), self._descriptor
-            return
-        try:
-            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
-        except OSError:
-            reject_link(Path(folder), self._descriptor)
-            raise
-        try:
-            yield Path(file), descriptor
-        finally:
-            os.close(descriptor)
+    def file(self, folder: str, file: str = "") -> Path:
+        """Return the path of a file in a subfolder ('': this one); OSError if the subfolder is a link."""
+        if folder:
+            reject_link(self.path / folder)
+        return self.path / folder / file
 
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
         """Return a file of at most `max_bytes` bytes, or its first `head` bytes; ValueError if it is longer."""
-        with self._at(folder, file) as (path, inside):
-
-            def opened(name: str, flags: int) -> int:
-                if not USE_DIR_FD:
-                    reject_link(path, None)
-                flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-                try:
-                    return os.open(name, flags, dir_fd=inside)
-                except OSError:
-                    reject_link(path, inside)
-                    raise
-
-            with open(path, "rb", opener=opened) as content:
-                status = os.fstat(content.fileno())
-                if not stat.S_ISREG(status.st_mode):
-                    raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
-                return content.read(_length_to_read(status.st_size, max_bytes, head))
+        path = self.file(folder, file)
+        reject_link(path)
+        with open_regular(path) as content:
+            return content.read(_length_to_read(os.fstat(content.fileno()).st_size, max_bytes, head))
 
     def write(self, folder: str, file: str, content: bytes) -> None:
         """Replace a file atomically."""
-        with self._at(folder, file) as (path, inside):
-            write_atomically(path, content, inside)
-
-    def make(self, folder: str) -> None:
-        """Create a subfolder."""
-        with self._at("", folder) as (path, inside):
-            os.mkdir(path, dir_fd=inside)
+        write_atomically(self.file(folder, file), content)
 
     def names(self, folder: str) -> set[str]:
         """Return the names in a subfolder."""
-        with self._at(folder) as (path, inside):
-            return set(os.listdir(path if inside is None else inside))
-
-    def status(self, folder: str, file: str) -> os.stat_result:
-        """Return the status of a file; links are not followed."""
-        with self._at(folder, file) as (path, inside):
-            return os.stat(path, dir_fd=inside, follow_symlinks=False)
+        return set(os.listdir(self.file(folder)))
 
     def remove(self, folder: str, file: str) -> None:
         """Remove a file, if present; links are not followed."""
-        with self._at(folder, file) as (path, inside), suppress(FileNotFoundError):
-            os.unlink(path, dir_fd=inside)
+        with suppress(FileNotFoundError):
+            os.unlink(self.file(folder, file))
 
     def remove_unfinished(self, folder: str) -> None:
         """Remove temporary files left by killed processes."""
@@ -182,21 +122,9 @@ class ArchiveFolder:
             if name.startswith(".") and name.endswith(TEMPORARY_SUFFIX):
                 self.remove(folder, name)
 
-    def sync_to_disk(self, folders: Iterable[str]) -> None:
-        """Sync the directory entries of some subfolders to disk."""
-        for folder in folders:
-            with self._at(folder) as (_, inside):
-                if inside is not None:
-                    sync_to_disk(inside)
-
     def lock(self, folder: str, file: str) -> int | None:
         """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
-        with self._at(folder, file) as (path, inside):
-            try:
-                return open_locked(path, os.O_CREAT, inside)
-            except OSError:
-                reject_link(path, inside)
-                raise
+        return open_locked(self.file(folder, file), os.O_CREAT)
 
 
 class RemoteFolder:
@@ -208,19 +136,17 @@ class RemoteFolder:
     def __str__(self) -> str:
         return in_one_line(self.url, 200)
 
-    def __enter__(self) -> RemoteFolder:
-        # Listings are cached by some file systems, also while another process commits.
-        self.filesystem.invalidate_cache()
-        return self
-
-    def __exit__(self, *ended: object) -> None:
-        pass
+    @property
+    def path(self) -> str:
+        """The URL."""
+        return self.url
 
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
         """Return a file, as `ArchiveFolder.read`."""
         path = "/".join(filter(None, (self.root, folder, file)))
 
         def status_and_link() -> tuple[Any, Any]:
+            self.filesystem.invalidate_cache()  # another process may have committed
             status = self.filesystem.info(path)
             linked = status.get("islink")
             if folder and linked is False:  # a folder of this machine, within another file system
@@ -253,8 +179,8 @@ def is_url(value: Any) -> bool:
     return isinstance(value, str) and URL.match(value) is not None
 
 
-def remote_folder(value: Any) -> RemoteFolder | Path | None:
-    """Return the folder at a URL or of a mapping of fsspec, a path if it is on this machine; None for other values."""
+def remote_folder(value: Any) -> Folder | None:
+    """Return the folder at a URL or of a mapping of fsspec; None for other values."""
     if hasattr(value, "fs") and hasattr(value, "root"):
         filesystem, root, url = value.fs, value.root, value.fs.unstrip_protocol(value.root)
     elif is_url(value):
@@ -274,12 +200,13 @@ def remote_folder(value: Any) -> RemoteFolder | Path | None:
         return None
     from fsspec.implementations.local import LocalFileSystem
 
-    return Path(root) if isinstance(filesystem, LocalFileSystem) else RemoteFolder(filesystem, root, url)
+    is_local = isinstance(filesystem, LocalFileSystem)
+    return ArchiveFolder(Path(root)) if is_local else RemoteFolder(filesystem, root, url)
 
 
-def within_limit(work: Callable[[], Result]) -> Result:
-    """Return the result of a call, or raise what it raises; TimeoutError after the time limit."""
-    # In a thread: file systems and clusters have limits of their own, or none.
+def request(work: Callable[[], Result]) -> Result:
+    """Return the result of a request to a file system of fsspec; OSError with `strerror` for whatever it raises."""
+    # In a thread: some file systems have longer limits of time, or none.
     results, errors, limit = list[Result](), list[BaseException](), timeout()
 
     def run() -> None:
@@ -291,21 +218,13 @@ def within_limit(work: Callable[[], Result]) -> Result:
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     thread.join(limit)
-    for reason in errors:
+    if results:
+        return results[0]
+    reason = (
+        errors[0] if errors else TimeoutError(f"no answer within {limit:g} s, a limit that {TIMEOUT_VARIABLE} sets")
+    )
+    if isinstance(reason, ImportError | MemoryError | KeyboardInterrupt):
         raise reason
-    if not results:
-        raise TimeoutError(f"no answer within {limit:g} s, a limit that {TIMEOUT_VARIABLE} sets")
-    return results[0]
-
-
-def request(work: Callable[[], Result]) -> Result:
-    """Return the result of a request to a file system of fsspec; OSError with `strerror` for whatever it raises."""
-    try:
-        return within_limit(work)
-    except (ImportError, MemoryError, KeyboardInterrupt):
-        raise
-    except BaseException as error:
-        reason: BaseException = error
     if _is_absent(reason):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     while isinstance(reason, FileNotFoundError) and reason.__cause__ is not None:
@@ -338,12 +257,12 @@ def _length_to_read(size: int, max_bytes: int | None, head: int | None) -> int:
 
 
 Folder = ArchiveFolder | RemoteFolder
-Location = Path | RemoteFolder
 
 
-def read_location(value: Any) -> Location:
+def read_location(value: Any) -> Folder:
     """Validate the place from which an archive is read: a path, which becomes absolute, a URL, or an fsspec mapping."""
-    return remote_folder(value) or read_archive_path(value, "a path, such as 'run.zarr', a URL, or a mapping of fsspec")
+    wanted = "a path, such as 'run.zarr', a URL, or a mapping of fsspec"
+    return remote_folder(value) or ArchiveFolder(read_archive_path(value, wanted))
 
 
 def read_archive_path(value: Any, wanted: str = "the path of a folder, such as 'run.zarr'") -> Path:
@@ -362,22 +281,3 @@ def read_archive_path(value: Any, wanted: str = "the path of a folder, such as '
     if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
         raise ValueError(f"archive is {short(value)}; its name is too long")
     return Path(path).absolute()
-
-
-def no_archive(path: Location) -> ArchiveError:
-    """Return the error for a place without an archive."""
-    return ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named")
-
-
-def open_location(location: Location) -> Folder:
-    """Open the folder of an archive to read it; ArchiveError if there is none."""
-    return open_folder(location) if isinstance(location, Path) else location
-
-
-def open_folder(path: Path) -> ArchiveFolder:
-    """Open the folder of an archive on this machine; ArchiveError if there is none."""
-    try:
-        with reading(path, "the folder"):
-            return ArchiveFolder(path)
-    except FileNotFoundError:
-        raise no_archive(path) from None

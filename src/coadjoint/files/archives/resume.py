@@ -16,18 +16,17 @@ from numpy.typing import NDArray
 from coadjoint.files.archives.archive import (
     BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
+    FIRST_STEP,
     SAVE_EVERY,
     STEPS,
     StoredState,
     sums_among,
 )
+from coadjoint.files.archives.archived_run import ArchiveSink, PlannedRun, create_archive
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 from coadjoint.files.archives.folder import ArchiveError, read_archive_path, reading
-from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.root import FIRST_STEP
 from coadjoint.files.archives.run_checks import observed_again
-from coadjoint.files.archives.sink import ArchiveSink
 from coadjoint.files.archives.store import ArchiveStore, unwritable_error
 from coadjoint.files.datasets.variables import Variables
 from coadjoint.keyword_hints import suggest_keywords
@@ -62,7 +61,8 @@ def archive_run(
     times, further = prepared.times_of(t_span, save_every)[0], {**(attributes or {}), SAVE_EVERY: int(save_every)}
     planned = PlannedRun(prepared, times, prepared.start(x0), coordinates or {}, further)
     store = create_archive(planned, archive)
-    return _continue_run(store, planned, None, progress, None, began)
+    with closing(store, prepared.system):
+        return _continued(store, planned, None, progress, None, began)
 
 
 @suggest_keywords
@@ -145,7 +145,7 @@ def resume(
     if archive.finished and (t_end is None or archive.attributes.get("run_failed")):
         return raise_if_failed(archive)
     store = ArchiveStore.open_existing(archive_path)
-    try:
+    with closing(store, system):
         archive = open_archive(archive_path, system)
         archive.check_complete()
         if read_events(events):
@@ -169,13 +169,8 @@ def resume(
                     except OSError as reason:
                         raise unwritable_error(archive_path, reason) from None
         if store.attributes[FINISHED]:
-            store.close()
             return archive
-        stored = store.read_state(store.states[-1])
-    except BaseException:
-        store.close()
-        raise
-    return _continue_run(store, planned, stored, progress, until, began)
+        return _continued(store, planned, store.read_state(store.states[-1]), progress, until, began)
 
 
 def _prepared_again(
@@ -191,14 +186,14 @@ def _prepared_again(
     ), inputs
 
 
-def _continue_run(
+def _continued(
     store: ArchiveStore, planned: PlannedRun, stored: Any, progress: bool, until: int | None, began: float
 ) -> Solution:
-    with closing(store, planned.prepared.system):
-        with reading(store.path, "the archive"):
-            run = planned.in_pieces(store.arrays["time"].chunk[0], stored)
-            sink = ArchiveSink(store, store.attributes, began=began)
-        run.advance_into(sink.take, until, progress)
+    """Run from stored numbers, or from the start, into an archive; return its solution."""
+    with reading(store.path, "the archive"):
+        run = planned.in_pieces(store.arrays["time"].chunk[0], stored)
+        sink = ArchiveSink(store, store.attributes, began=began)
+    run.advance_into(sink.take, until, progress)
     return raise_if_failed(open_archive(store.path, planned.prepared.system))
 
 

@@ -17,15 +17,18 @@ from coadjoint.files.archives.archive import (
     ACCOUNTS_ATTRIBUTE,
     BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
+    FIRST_STEP,
+    FORMAT,
+    RUN,
     SAVE_EVERY,
     STATES,
     STATUS,
     STEPS,
+    VERSION_ATTRIBUTE,
     Archive,
     is_computed,
 )
 from coadjoint.files.archives.folder import ArchiveError, reading
-from coadjoint.files.archives.root import FIRST_STEP, FORMAT, RUN, VERSION_ATTRIBUTE
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
 from coadjoint.files.datasets.variables import SIZES, TIME
@@ -63,7 +66,7 @@ RESERVED_NAMES = frozenset(
 def check_archive(archive: Archive) -> None:
     """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
     arrays, attributes = archive.arrays, archive.attributes
-    with reading(archive.path, "the archive"):
+    with reading(archive.folder, "the archive"):
         entry = Entry(attributes, "attributes")
         is_bound = attributes[VERSION_ATTRIBUTE] == FORMAT
         for name in (*TEXT_ATTRIBUTES, *((RUN,) if is_bound else ())):

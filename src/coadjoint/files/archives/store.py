@@ -32,7 +32,7 @@ import os
 import secrets
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,33 +40,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.archives.archive import (
+    FORMAT,
+    GROUP_METADATA,
+    HIDDEN_FOLDER,
+    RUN,
     STATE_FILE_PREFIX,
     STATES,
     SUM_PREFIX,
+    VERSION_ATTRIBUTE,
     Archive,
     Marker,
     MemberBlock,
     StoredState,
-    chunk_file,
     digest_of_marker,
-    sums_among,
-)
-from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, Folder, open_folder
-from coadjoint.files.archives.root import (
-    FORMAT,
-    GROUP_METADATA,
-    HIDDEN_FOLDER,
-    ROOT_FILE,
-    RUN,
-    VERSION_ATTRIBUTE,
     read_root,
     root_content,
+    sums_among,
 )
-from coadjoint.files.archives.stored_arrays import StoredArray, serialize_numbers
-from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free
-
-REPLACED = errno.ESTALE
-"""Number of the errors that the folder of an archive, or its lock file, was replaced during a run."""
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder
+from coadjoint.files.archives.stored_arrays import METADATA_FILE, StoredArray, chunk_file, serialize_numbers
+from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free, sync_to_disk
 
 
 class ArchiveUnwritten(OSError):
@@ -82,36 +75,35 @@ class ArchiveUnwritten(OSError):
     partial: Any = None
 
 
-def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str, otherwise: str) -> ArchiveUnwritten:
-    """Return the error for an archive that could not be written, ending with `replaced` or `otherwise`."""
+def unwritten_archive(path: Path, reason: OSError | ArchiveError, ending: str) -> ArchiveUnwritten:
+    """Return the error for an archive that could not be written."""
     problem = getattr(reason, "strerror", None) or str(reason)
-    ending = replaced if getattr(reason, "errno", None) == REPLACED else otherwise
     return ArchiveUnwritten(f"{path}: the archive could not be written ({problem}); {ending}")
 
 
 class ArchiveStore(Archive):
     """An archive open for writing; `arrays` and `attributes` are those of the last commit."""
 
-    path: Path
+    folder: ArchiveFolder
 
     def __init__(
         self,
-        path: Path,
+        folder: ArchiveFolder,
         arrays: Mapping[str, StoredArray],
         attributes: Mapping[str, Any],
-        folder: ArchiveFolder,
         lock_file: str = LOCK_FILE,
     ) -> None:
-        super().__init__(path, arrays, attributes)
-        self.folder, self._lock_file = folder, lock_file
+        super().__init__(folder, arrays, attributes)
+        self._lock_file = lock_file
         self._lock: int | None = None
         self._touched: set[str] = set()
         self._pending: dict[str, dict[tuple[int, ...], tuple[int, int]]] = {}
         self._next_sums: dict[str, NDArray[Any]] | None = None
 
-    def opened(self) -> AbstractContextManager[ArchiveFolder]:
-        """Return the folder, which stays open."""
-        return nullcontext(self.folder)
+    @property
+    def path(self) -> Path:
+        """The path of the folder."""
+        return self.folder.path
 
     def lock(self) -> bool:
         """Lock the archive, or the block; return whether no other process holds the lock."""
@@ -123,8 +115,7 @@ class ArchiveStore(Archive):
         """Lock the block in place of a process that has not written for so long; return whether this was possible."""
         # A process that was stopped finds its lock replaced before it writes again.
         with suppress(OSError):
-            status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
-            if time.time() - status.st_mtime > seconds:
+            if time.time() - os.lstat(self.folder.file(HIDDEN_FOLDER, self._lock_file)).st_mtime > seconds:
                 self.folder.remove(HIDDEN_FOLDER, self._lock_file)
                 return self.lock()
         return False
@@ -137,34 +128,32 @@ class ArchiveStore(Archive):
     @classmethod
     def create_archive(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
         """Create an archive in a new folder; it is empty until the first `commit`."""
-        path.mkdir()
-        attributes = {VERSION_ATTRIBUTE: FORMAT, RUN: secrets.token_hex(16)}
-        store = cls(path, arrays, attributes, ArchiveFolder(path))
+        for name in ("", HIDDEN_FOLDER, *arrays):
+            (path / name).mkdir()
+        store = cls(ArchiveFolder(path), arrays, {VERSION_ATTRIBUTE: FORMAT, RUN: secrets.token_hex(16)})
         store.sums = {}
-        try:
-            for name in (HIDDEN_FOLDER, *arrays):
-                store.folder.make(name)
-            store.folder.write(HIDDEN_FOLDER, ROOT_FILE, _json({**GROUP_METADATA, "attributes": {}}))
+        with ExitStack() as after_failures:
+            after_failures.callback(store.close)
+            store.folder.write(HIDDEN_FOLDER, METADATA_FILE, _json({**GROUP_METADATA, "attributes": {}}))
             store.lock()
             store._write_arrays(arrays)
-        except BaseException:
-            store.close()
-            raise
+            after_failures.pop_all()
         return store
 
     @classmethod
     def open_existing(cls, path: Path) -> ArchiveStore:
         """Open an archive to resume it, and remove leftovers of a killed process; ArchiveError if it is locked."""
-        store = cls(path, *read_root(path), open_folder(path))
+        folder = ArchiveFolder(path)
+        store = cls(folder, *read_root(folder))
         with ExitStack() as after_failures:
             after_failures.callback(store.close)
             try:
                 if not store.lock():
                     raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
                 # Read again: it may have changed before it was locked.
-                store.arrays, store.attributes = read_root(path, store.folder)
+                store.arrays, store.attributes = read_root(folder)
                 for name in ("", HIDDEN_FOLDER, *store.arrays):
-                    store.folder.remove_unfinished(name)
+                    folder.remove_unfinished(name)
                 store._write_arrays(store.arrays)
             except OSError as reason:
                 raise unwritable_error(path, reason) from None
@@ -173,46 +162,25 @@ class ArchiveStore(Archive):
 
     def moved(self, path: Path) -> None:
         """Rename the folder; if the target exists or another process opens it first, close it and raise OSError."""
-        try:
-            self._release()  # Windows renames no folder in which a file is open
-            rename_when_free(lambda: os.rename(self.path, path))
-            self.path = path
-            self.folder.path = path.absolute()
-            if not self.lock():
-                raise BlockingIOError(errno.EAGAIN, "another process is writing to it")
-        except BaseException:
-            self.close()
-            raise
+        self.close()  # Windows renames no folder in which a file is open
+        rename_when_free(lambda: os.rename(self.path, path))
+        self.folder = ArchiveFolder(path)
+        if not self.lock():
+            raise BlockingIOError(errno.EAGAIN, "another process is writing to it")
 
     def close(self) -> None:
-        """Release the lock and close the folder."""
-        self._release()
-        self.folder.close()
-
-    def _release(self) -> None:
+        """Release the lock."""
         lock, self._lock = self._lock, None
         if lock is not None:
             os.close(lock)
 
-    def _is_own_lock(self, status: os.stat_result) -> bool:
-        return self._lock is None or os.path.samestat(os.fstat(self._lock), status)
-
     def check_lock(self) -> None:
-        """Raise OSError of `REPLACED` if the lock file was replaced (another process may write), or if it is gone."""
-        try:
-            status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
-        except FileNotFoundError:
-            raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
-        if not self._is_own_lock(status):
-            raise OSError(REPLACED, "its lock file was replaced, so that another process may write to it")
-        self._touch_lock()
-
-    def check_not_replaced(self) -> None:
-        """Raise OSError of `REPLACED` if the path of the archive no longer leads to the folder being written."""
+        """Raise OSError if the lock file was replaced (another process may write), or is no longer at its path."""
         with suppress(OSError):
-            if self._is_own_lock(os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)):
-                return
-        raise OSError(REPLACED, "its folder was moved or replaced; the computed part is in the old one")
+            status = os.lstat(self.folder.file(HIDDEN_FOLDER, self._lock_file))
+            if self._lock is not None and os.path.samestat(os.fstat(self._lock), status):
+                return self._touch_lock()
+        raise OSError(errno.ESTALE, "its folder or its lock file was moved or replaced")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
@@ -224,17 +192,18 @@ class ArchiveStore(Archive):
         ):
             chunk = array.empty()
             if array.grows and inside[0].start > 0:
-                chunk[: inside[0].start] = self.chunk(self.folder, name, indices)[: inside[0].start]
+                chunk[: inside[0].start] = self.chunk(name, indices)[: inside[0].start]
             chunk[inside] = region[outside]
+            content = array.encoded(chunk)
             self.check_lock()
-            self.folder.write(name, chunk_file(indices), array.encoded(chunk))
+            self.folder.write(name, chunk_file(indices), content)
             place = self.place_of(name, indices)
             self._pending.setdefault(name, {})[place] = inside[0].stop, array.sum_of(chunk[: inside[0].stop])
         self._touched.add(name)
 
-    def committed(self, folder: Folder, name: str, indices: tuple[int, ...]) -> tuple[int, int | None]:
+    def committed(self, name: str, indices: tuple[int, ...]) -> tuple[int, int | None]:
         pending = self._pending.get(name, {}).get(self.place_of(name, indices))
-        return pending or super().committed(folder, name, indices)
+        return pending or super().committed(name, indices)
 
     def _numbers_and_sums(self, numbers: Mapping[str, Any], sums: Mapping[str, NDArray[Any]]) -> bytes:
         """Serialize numbers with the checksums of all chunks: `sums`, and those of chunks written since."""
@@ -260,40 +229,38 @@ class ArchiveStore(Archive):
 
     def begin_block(self, block: MemberBlock) -> Marker | None:
         """Return the marker from which a block resumes; None if it begins, also if its marker is damaged."""
-        marker = self.intact_marker(self.folder, block)
+        marker = self.intact_marker(block)
         self._progress[block.number] = marker and (marker.head["rows"], sums_among(marker.numbers))
         return marker
 
     def write_marker(self, block: MemberBlock, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
         """Commit a block by its marker, atomically: a line of JSON with checksums, then the numbers."""
-        self.folder.sync_to_disk(self._touched)
-        before = self._progress_of(self.folder, block.number)
+        self._sync(self._touched)
+        before = self._progress_of(block.number)
         raw = self._numbers_and_sums(stored, before[1] if before else {})
         head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
         line = f"{digest_of_marker(self.attributes, block, head)} {head}\n"
         self.check_lock()
         self.folder.write(HIDDEN_FOLDER, block.marker, line.encode() + raw)
-        self.folder.sync_to_disk([HIDDEN_FOLDER])
+        self._sync([HIDDEN_FOLDER])
         self._progress[block.number] = about["rows"], self._next_sums or {}
         self._touched, self._pending = set(), {}
-        self.check_not_replaced()
 
     def commit(self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState]) -> None:
         """Commit everything written so far, atomically; states not in `states` are removed."""
-        # An error of `REPLACED`: nothing was committed (another lock file), or all in a folder that was moved.
-        self.check_lock()
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array
             for name, array in self.arrays.items()
         }
         states = list(states)
         merged = {**self.attributes, **attributes, STATES: json.dumps(states)}
-        self.folder.sync_to_disk(self._touched)
+        self._sync(self._touched)
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
-        self.folder.write("", ROOT_FILE, _json(root_content(arrays, merged)))
+        self.check_lock()
+        self.folder.write("", METADATA_FILE, _json(root_content(arrays, merged)))
         self.arrays, self.attributes, self._touched, self._pending = arrays, merged, set(), {}
         self.sums = self.sums if self._next_sums is None else self._next_sums
-        self.folder.sync_to_disk([""])
+        self._sync([""])
         self._write_arrays(changed)
         retained = {state.file for state in states}
         for file in self.folder.names(HIDDEN_FOLDER):
@@ -301,12 +268,17 @@ class ArchiveStore(Archive):
                 # Windows keeps the files that a reader has open; the next commit removes them.
                 with suppress(PermissionError):
                     self.folder.remove(HIDDEN_FOLDER, file)
-        self.check_not_replaced()
+
+    def _sync(self, folders: Iterable[str]) -> None:
+        """Sync the directory entries of some subfolders to disk."""
+        self.check_lock()
+        for folder in folders:
+            sync_to_disk(self.folder.file(folder))
 
     def _write_arrays(self, arrays: Mapping[str, StoredArray]) -> None:
         """Write the metadata of single arrays, for readers without consolidated metadata."""
         for name, array in arrays.items():
-            self.folder.write(name, ROOT_FILE, _json(array.metadata()))
+            self.folder.write(name, METADATA_FILE, _json(array.metadata()))
 
 
 def unwritable_error(path: Path, reason: OSError) -> ArchiveError:

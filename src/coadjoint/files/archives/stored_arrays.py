@@ -3,8 +3,10 @@
 An array that grows does so along its first dimension; chunks are stored complete, padded with `FILL`. Numbers use the
 codecs bytes, blosc and crc32c; names use vlen-utf8.
 
-Chunks are coded by numcodecs, as in zarr-python, but not by zarr-python itself: it decompresses whatever length a chunk
-declares, and after an interrupt its thread goes on writing, when the archive is no longer locked.
+Chunks are coded by numcodecs, as in zarr-python, but not by zarr-python itself. Its thread and event loop take 1 ms or
+more for each chunk, where the codecs of a small one take 0.01 to 0.1 ms: runs of 10^3 to 10^6 cheap steps would take 30
+to 60 percent longer. It allocates whatever length a chunk declares, its local store syncs nothing to disk and follows
+symbolic links, and after an interrupt its thread goes on writing, when the archive is no longer locked.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ NUMBER_CODECS: list[dict[str, Any]] = [
 CODECS: dict[str, list[dict[str, Any]]] = {"string": [{"name": "vlen-utf8"}], "bool": [{"name": "bytes"}]}
 """Codecs of other types than numbers, before the checksum."""
 SEPARATOR = "."
+METADATA_FILE = "zarr.json"
 MAX_AXES = 8
 MAX_AXIS_LENGTH, MAX_READ_ROWS = 2**62, 2**16
 """Limits on axis lengths, and on the rows of a chunk, when reading."""
@@ -183,6 +186,11 @@ class StoredArray(NamedTuple):
         if len(content) != kind.itemsize * prod(self.chunk):
             raise ValueError(f"a chunk of the archive has {len(content)} bytes, which contradicts its shape")
         return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
+
+
+def chunk_file(indices: tuple[int, ...]) -> str:
+    """Return the file name of a chunk, such as c.3.0."""
+    return SEPARATOR.join(("c", *map(str, indices)))
 
 
 def decompress(content: bytes, length: int) -> bytes:

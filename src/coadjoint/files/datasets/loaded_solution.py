@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import solution_at
-from coadjoint.files.archives.folder import remote_folder
-from coadjoint.files.archives.root import HIDDEN_FOLDER
+from coadjoint.files.archives.folder import ArchiveFolder, RemoteFolder, remote_folder
 from coadjoint.files.archives.run_checks import ARRAY_TYPES, FLOAT_ARRAYS, SERIES_PREFIXES, check_arrays
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, TAKEN_ATTRIBUTE
@@ -210,13 +210,14 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
     (True, True, Splitting(order=2...))
     """
-    source = remote_folder(path) or read_path(path, "path").absolute()
-    if not isinstance(source, Path):
-        return solution_at(source, system)
+    folder = remote_folder(path) or ArchiveFolder(read_path(path, "path"))
+    if isinstance(folder, RemoteFolder):
+        return solution_at(folder, system)
+    source = folder.path
     shown = in_one_line(str(source), 200)
     try:
         if (source / HIDDEN_FOLDER).is_dir():
-            return solution_at(source, system)
+            return solution_at(folder, system)
         engine, packages = _reader(source)
     except OneLineError:
         raise

@@ -28,26 +28,26 @@ IN_USE_WAITS = tuple(2.0**-k for k in range(10, 0, -1))
 """Waits (seconds) before a refused rename is tried again, a second in all: readers hold a file for less."""
 
 
-def write_atomically(path: Path, content: bytes, folder: int | None = None) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links."""
     temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
 
     def opened(name: str, flags: int) -> int:
         try:
-            return os.open(name, flags, 0o666, dir_fd=folder)
+            return os.open(name, flags, 0o666)
         except FileExistsError:
-            os.unlink(name, dir_fd=folder)  # from a killed process, or a link out of the folder
-            return os.open(name, flags, 0o666, dir_fd=folder)
+            os.unlink(name)  # from a killed process, or a link out of the folder
+            return os.open(name, flags, 0o666)
 
     try:
         with open(temporary, "xb", opener=opened) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        rename_when_free(lambda: os.replace(temporary, path, src_dir_fd=folder, dst_dir_fd=folder))
+        rename_when_free(lambda: os.replace(temporary, path))
     except BaseException:
         with suppress(OSError):
-            os.unlink(temporary, dir_fd=folder)
+            os.unlink(temporary)
         raise
 
 
@@ -61,13 +61,18 @@ def rename_when_free(rename: Callable[[], None]) -> None:
     return rename()
 
 
-def sync_to_disk(folder: int) -> None:
-    """Sync the directory entries of an open folder to disk, where supported."""
+def sync_to_disk(folder: Path) -> None:
+    """Sync the directory entries of a folder to disk, where supported."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(folder)
+        os.fsync(descriptor)
     except OSError as reason:
         if reason.errno not in SYNC_UNSUPPORTED:
             raise
+    finally:
+        os.close(descriptor)
 
 
 LOCK_FILE = "lock"
@@ -177,13 +182,12 @@ def _prefix(target: Path) -> str:
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 
-def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
+def open_locked(path: Path, create: int = 0) -> int | None:
     """Open and lock a file, not a link; return its descriptor, or None if another process has locked or removed it."""
     flags = os.O_RDWR | create | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    if not hasattr(os, "O_NOFOLLOW"):
-        reject_link(path, folder)
+    reject_link(path)
     try:
-        descriptor = os.open(path, flags, 0o600, dir_fd=folder)
+        descriptor = os.open(path, flags, 0o600)
     except FileNotFoundError:
         if create:
             return None
@@ -202,10 +206,10 @@ def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int |
     return None
 
 
-def reject_link(path: Path, folder: int | None) -> None:
+def reject_link(path: Path) -> None:
     """Raise OSError if the path is a symbolic link, or a junction of Windows."""
     try:
-        status = os.stat(path, dir_fd=folder, follow_symlinks=False)
+        status = os.stat(path, follow_symlinks=False)
     except OSError:
         return
     junction = getattr(status, "st_reparse_tag", 0) == getattr(stat, "IO_REPARSE_TAG_MOUNT_POINT", None)
