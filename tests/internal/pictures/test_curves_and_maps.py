@@ -111,8 +111,8 @@ def test_maps_are_inverted_and_keep_areas(name):
     x, y = map_.project(longitude, latitude)
     assert ((x / map_.half_width) ** 2 + y**2).max() < 1.0
     east, north = map_.unproject(x, y)
-    # the table of Mollweide's angle is linear between 4001 points: (pi / 4000)^2 / 8 times second derivatives below 20
-    np.testing.assert_allclose([east, north], [longitude, latitude], atol=2e-6)
+    # Matplotlib's iteration for the angle of Mollweide's map ends at a correction of 0.001 in twice the angle.
+    np.testing.assert_allclose([east, north], [longitude, latitude], atol=5e-3 if name == "mollweide" else 2e-12)
     if name == "outside":
         np.testing.assert_allclose([x, y], [np.cos(latitude) * np.sin(longitude), np.sin(latitude)], atol=1e-15)
         return

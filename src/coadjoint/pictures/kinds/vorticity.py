@@ -36,7 +36,6 @@ GRID_SPACING = 30.0
 PIXELS = 301  # of the diameter; odd, so that one is the centre
 
 ArrayPair = tuple[Floats, Floats]
-TABLE_SIZE = 4001  # points of the table of Mollweide's angle, linear between them: an error of 1e-6
 
 
 def _is_low(drawn: PlottedRun) -> bool:
@@ -257,25 +256,23 @@ def turned(centre: tuple[float, float]) -> Floats:
     return np.roll(view_frame(centre), 1, axis=0)
 
 
-def _mollweide_project(longitude: Floats, latitude: Floats) -> ArrayPair:
-    turn = np.linspace(-np.pi / 2, np.pi / 2, TABLE_SIZE)
-    theta = np.interp(np.sin(latitude), (2 * turn + np.sin(2 * turn)) / np.pi, turn)
-    return 2 * longitude / np.pi * np.cos(theta), np.sin(theta)
+def _map_of_matplotlib(name: str) -> Projection:
+    """Return an equal-area map of the whole sphere, which is larger in Matplotlib by the square root of two."""
 
+    def transform() -> Any:
+        from matplotlib.projections import get_projection_class
 
-def _mollweide_unproject(x: Floats, y: Floats) -> ArrayPair:
-    theta = np.arcsin(y)
-    return np.pi * x / (2 * np.cos(theta)), np.arcsin(np.clip((2 * theta + np.sin(2 * theta)) / np.pi, -1.0, 1.0))
+        return getattr(get_projection_class(name), f"{name.capitalize()}Transform")(1)
 
+    def project(longitude: Floats, latitude: Floats) -> ArrayPair:
+        x, y = transform().transform(np.column_stack([longitude, latitude])).T / np.sqrt(2)
+        return x, y
 
-def _hammer_project(longitude: Floats, latitude: Floats) -> ArrayPair:
-    size = np.sqrt(1 + np.cos(latitude) * np.cos(longitude / 2))
-    return 2 * np.cos(latitude) * np.sin(longitude / 2) / size, np.sin(latitude) / size
+    def unproject(x: Floats, y: Floats) -> ArrayPair:
+        longitude, latitude = transform().inverted().transform(np.sqrt(2) * np.column_stack([x, y])).T
+        return longitude, latitude
 
-
-def _hammer_unproject(x: Floats, y: Floats) -> ArrayPair:
-    z = np.sqrt(1 - x**2 / 8 - y**2 / 2)
-    return 2 * np.arctan2(np.sqrt(2) * z * x, 2 * (2 * z**2 - 1)), np.arcsin(np.clip(np.sqrt(2) * z * y, -1.0, 1.0))
+    return Projection(2.0, project, unproject)
 
 
 def _outside_project(longitude: Floats, latitude: Floats) -> ArrayPair:
@@ -288,8 +285,8 @@ def _outside_unproject(x: Floats, y: Floats) -> ArrayPair:
 
 
 PROJECTIONS = {
-    "mollweide": Projection(2.0, _mollweide_project, _mollweide_unproject),
-    "hammer": Projection(2.0, _hammer_project, _hammer_unproject),
+    "mollweide": _map_of_matplotlib("mollweide"),
+    "hammer": _map_of_matplotlib("hammer"),
     "outside": Projection(1.0, _outside_project, _outside_unproject),
 }
 
