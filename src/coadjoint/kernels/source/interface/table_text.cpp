@@ -1,53 +1,20 @@
 #include "interface/table_text.hpp"
 
 #include <algorithm>
-#include <cmath>
+#include <cstdlib>
 #include <cstring>
 
 namespace coadjoint {
 
 namespace {
 
-constexpr int DEEPEST = 16, MOST_DIGITS = 19, LIMBS = 48, MOST_POWER = 345;
+constexpr int DEEPEST = 16, MOST_DIGITS = 19;
 constexpr size_t MOST_BYTES = size_t(1) << 30;
 
-// digits 10^power, rounded once; infinite if it is too large. The C library's function depends on the locale.
+// digits 10^power, rounded once; infinite if it is too large. A text without a decimal point has the same meaning in
+// every locale.
 double rounded(uint64_t digits, int power) {
-    static const double exact[] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,  1e8,  1e9,  1e10, 1e11,
-                                   1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
-    if (digits == 0 || power < -MOST_POWER) return 0.0;
-    if (power > MOST_POWER) return INFINITY;
-    if (digits <= uint64_t(1) << 53 && std::abs(power) <= 22)
-        return power < 0 ? double(digits) / exact[-power] : double(digits) * exact[power];
-    // A whole number times 2^scale, whose remainder is not zero if `rest`.
-    uint32_t limbs[LIMBS] = {};
-    const int place = power < 0 ? LIMBS - 2 : 0, scale = -32 * place;
-    limbs[place] = uint32_t(digits), limbs[place + 1] = uint32_t(digits >> 32);
-    bool rest = false;
-    for (; power > 0; --power) {
-        uint64_t carry = 0;
-        for (uint32_t& limb : limbs) carry += uint64_t(limb) * 10, limb = uint32_t(carry), carry >>= 32;
-    }
-    for (; power < 0; ++power) {
-        uint64_t remainder = 0;
-        for (int k = LIMBS; k-- > 0;) {
-            remainder = remainder << 32 | limbs[k];
-            limbs[k] = uint32_t(remainder / 10), remainder %= 10;
-        }
-        rest |= remainder != 0;
-    }
-    const auto bit = [&](int position) { return uint64_t(limbs[position / 32] >> position % 32 & 1); };
-    int length = 32 * LIMBS;
-    while (length > 0 && !bit(length - 1)) --length;
-    const int lowest = std::max(length - 53, -1074 - scale);  // the bit of the last place of the result
-    if (lowest > length) return 0.0;
-    uint64_t kept = 0;
-    for (int position = length; position-- > std::max(lowest, 0);) kept = kept << 1 | bit(position);
-    if (lowest > 0) {
-        for (int position = 0; position < lowest - 1; ++position) rest |= bit(position) != 0;
-        kept += bit(lowest - 1) && (rest || (kept & 1));
-    }
-    return std::ldexp(double(kept), std::max(lowest, 0) + scale);
+    return std::strtod((std::to_string(digits) + "e" + std::to_string(power)).c_str(), nullptr);
 }
 
 class JsonText {
