@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint import cli, commands, run_commands
+from coadjoint import cli, commands
 from coadjoint.experiments.reich1993.statements import judge
 from coadjoint.files.output import output_files as output
 from configuration_files import BODY
@@ -149,7 +149,7 @@ def test_summaries_have_every_balance_and_mark_driven_energies(capsys, driven):
         stats=SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75),
         change=lambda: {"energy": 0.25, "C" * 500: 0.5}, balance=lambda: {"energy": 0.125},
     )  # fmt: skip
-    run_commands._summarize(sol, [])
+    commands._summarize(sol, [])
     first, second = capsys.readouterr().out.splitlines()[2:]
     assert max(len(first), len(second)) < 80 and ("energy (driven, so that it changes)" in first) == driven
     if not driven:

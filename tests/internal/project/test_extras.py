@@ -122,7 +122,7 @@ def declared_packages():
 def test_one_extra_is_enough_for_the_command():
     """Of packages that several extras need, `EXTRAS` names one extra; the others must have them too."""
     _, declared = declared_packages()
-    parts = ("cli.py", "commands.py", "run_commands.py", "long_operations.py")
+    parts = ("cli.py", "commands.py", "long_operations.py")
     used = {*imported_packages((*parts, "files/configuration/"))}
     assert used & set(EXTRAS) == {"click", "tqdm", "pydantic"} <= declared["cli"]
 

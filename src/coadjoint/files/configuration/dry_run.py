@@ -9,7 +9,7 @@ from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
 from coadjoint.files.configuration.loading import Configuration
-from coadjoint.files.configuration.parsing import section
+from coadjoint.files.configuration.models import section
 from coadjoint.kernels.loop import Layout
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import effective_scheme

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.files.configuration.models import File
-from coadjoint.files.configuration.parsing import (
-    SYSTEM_KEYS,
-    Problems,
-    parse_tables,
-    parse_toml,
-    read_utf8,
-    section,
-    system_of_file,
-)
+from coadjoint.algebra.exact.numbers import parse_decimal
+from coadjoint.files.configuration.models import MAX_SHOWN_LENGTH, File, section, system_of_file, validate
 from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep
 from coadjoint.files.datasets.variables import over_members
 from coadjoint.files.datasets.writers import CHECKSUM
 from coadjoint.files.records.reconstruction import event_of_file, polynomial_of
 from coadjoint.methods.forced import check_supports
-from coadjoint.methods.registry import default_scheme, from_description
+from coadjoint.methods.registry import default_scheme
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.error_estimates import warn_of_large_step
 from coadjoint.runs.events import Event
@@ -30,12 +25,17 @@ from coadjoint.runs.integrate import chosen_for
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of
+from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
     import xarray
 
+MAX_LENGTH = 2**28  # characters of a file; longer ensembles are given in Python
+MAX_PARTS = 64
+# tomllib needs cubic time in the number of parts of a dotted key.
+_LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_PARTS}}}")
 CONFIGURATION = "configuration"
 """Attribute with the text of the file."""
 STORED = "the configuration of this run"
@@ -92,77 +92,74 @@ class Configuration:
         return dataset.assign_coords(over_members(self.swept))
 
 
+def read_utf8(path: str | Path) -> str:
+    """Read a file as UTF-8 with normalized line ends, without a byte-order mark."""
+    with section(path, ""):
+        with open(path, encoding="utf-8-sig") as file:
+            # Devices may be endless, and a dataset given by mistake may be huge.
+            text = file.read(MAX_LENGTH + 1)
+        if len(text) > MAX_LENGTH:
+            raise ValueError(f"is longer than {MAX_LENGTH} characters; give long ensembles in Python")
+        return text
+
+
+def parse_toml(name: str, text: str) -> dict[str, Any]:
+    """Parse TOML, the file of this name, with decimal numbers that float64 can represent."""
+
+    def number(literal: str) -> float:
+        # Numbers that are not finite are refused by their keys.
+        return parse_decimal(literal) if math.isfinite(float(literal)) else float(literal)
+
+    with section(name, ""):
+        if (long_key := _LONG_KEY.search(text)) is not None:
+            raise ValueError(f"the key {short(long_key[0], MAX_SHOWN_LENGTH)} has more than {MAX_PARTS} parts")
+        return tomllib.loads(text, parse_float=number)
+
+
 def system_of_text(text: str) -> Any:
     """Return the system of a configuration from the text of its file, as stored with a result."""
-    problems = Problems(STORED)
-    file, _, sweep = _read_tables(text, problems)
-    problems.check()
+    file, sweep = _read_tables(STORED, text)
     return system_of_file(STORED, file) if sweep is None else sweep.system(file)
 
 
 def outputs_of_text(text: str) -> dict[str, str | None]:
     """Return the declared paths of results of a configuration from the text of its file, as stored with a result."""
-    problems = Problems(STORED)
-    file = parse_tables(parse_toml(STORED, text), problems, ("output",))
-    problems.check()
-    return file.output.model_dump()
+    return validate(STORED, parse_toml(STORED, text), "output").output.model_dump()
+
+
+def _read_tables(name: str, text: str) -> tuple[File, SettingsSweep | None]:
+    """Return the tables of a file, those of the first member of a sweep, and the sweep."""
+    raw = parse_toml(name, text)
+    table = validate(name, raw, "sweep").sweep
+    if table is None:
+        return validate(name, raw), None
+    sweep = read_sweep(name, {key: value for key, value in raw.items() if key != "sweep"}, table)
+    return sweep.file(0), sweep
 
 
 def load(path: str | Path) -> Configuration:
     """Read and validate a configuration file, in TOML; ConfigurationError has file, key, reason, and remedy."""
     require_packages("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), read_utf8(path)
-    return _configuration(text, Problems(name))
-
-
-def _read_tables(text: str, problems: Problems) -> tuple[File, set[str], SettingsSweep | None]:
-    """Return the valid tables of a file (of a sweep, those of its first member), the keys of the others, the sweep."""
-    raw, sweep = parse_toml(problems.name, text), None
-    if "sweep" in raw:
-        table = parse_tables(raw, problems, ("sweep",)).sweep
-        raw_of_file = {key: value for key, value in raw.items() if key != "sweep"}
-        with problems.at("sweep"):
-            raw = raw_of_file
-            found = None if table is None else read_sweep(problems.name, raw, table)
-            raw, sweep = raw if found is None else found.tables(0), found
-    file = parse_tables(raw, problems)
-    return file, raw.keys() - file.model_fields_set, sweep
-
-
-def _configuration(text: str, problems: Problems) -> Configuration:
-    """Validate the tables of a file together, as far as they are valid."""
-    name = problems.name
-    file, invalid, sweep = _read_tables(text, problems)
-    system: Any = None
-    method: Any = None
-    x0: Any = None
-    if not invalid & SYSTEM_KEYS:
-        with problems.at("system"):
-            system = system_of_file(name, file) if sweep is None else sweep.system(file)
-    with problems.at("method"):
-        if file.method is not None:
-            method = from_description(file.method)
-        elif system is not None:
-            method = default_scheme(system)
-        if system is not None:
-            check_supports(system.of_member(0), method)
-    observe, events = {}, []
-    if system is not None:
-        if "initial" in file.model_fields_set:
-            with problems.at("initial"):
-                x0 = file.initial.state(system, Path(name).parent) if sweep is None else sweep.states(system)
-                momenta_of(system, x0)
-        for key, polynomial in file.observe.items():
-            with problems.at(f"observe.{key}"):
-                coordinates = coordinates_of(system)
-                if not coordinates:
-                    raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
-                observe[key] = polynomial_of(polynomial, system.dim, coordinates)
-        for key, table in file.events.items():
-            with problems.at(f"events.{key}"):
-                events.append(event_of_file(key, table.model_dump(), system))
-    problems.check()
+    file, sweep = _read_tables(name, text)
     run, attitude, choice = file.run, file.initial.attitude, None
+    system = system_of_file(name, file) if sweep is None else sweep.system(file)
+    with section(name, "method"):
+        method: Any = default_scheme(system) if file.method is None else file.method
+        check_supports(system.of_member(0), method)
+    with section(name, "initial"):
+        x0 = file.initial.state(system, Path(name).parent) if sweep is None else sweep.states(system)
+        momenta_of(system, x0)
+    observe, events = {}, []
+    for key, polynomial in file.observe.items():
+        with section(name, f"observe.{key}"):
+            coordinates = coordinates_of(system)
+            if not coordinates:
+                raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
+            observe[key] = polynomial_of(polynomial, system.dim, coordinates)
+    for key, event in file.events.items():
+        with section(name, f"events.{key}"):
+            events.append(event_of_file(key, event.model_dump(), system))
     if run.accuracy is not None:
         with section(name, "run.accuracy"):
             given = None if file.method is None else method

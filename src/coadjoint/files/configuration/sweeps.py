@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from hashlib import sha256
@@ -15,26 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import ConfigurationError
-from coadjoint.files.configuration.models import DISTRIBUTIONS, File, SettingsTable, SweepTable
-from coadjoint.files.configuration.parsing import Problems, parse_tables, section, system_of_file
-from coadjoint.files.configuration.tables import array_of_file
+from coadjoint.files.configuration.models import (
+    DISTRIBUTIONS,
+    STATE_KEY,
+    File,
+    SweepTable,
+    array_of_file,
+    parse_key,
+    section,
+    system_of_file,
+    validate,
+)
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.base import normal_deviates, random_words
+from coadjoint.systems.forces.orbit_flow import Exponential, bracket_of
 from coadjoint.validation import is_integer, is_real, read_finite, read_number
 
-KeyPath = tuple[str | int, ...]
-
-STATE_KEY = "initial.x"
-_KEY = re.compile(r"[A-Za-z_][\w-]*(\[\d{1,9}\])*(\.[A-Za-z_][\w-]*(\[\d{1,9}\])*)*")
-SWEPT_TABLES = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
 BYTES_PER_MEMBER = 200  # settings and state of a member, for each key; measured, with a margin
 BYTES_PER_SETTING = 64  # a number as a Python object in lists; measured, with a margin
 BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a margin
-MAX_TERMS = 400
-"""Limit on the terms of the series of a group element; each factor converges long before."""
+MAX_EXPONENT = 400  # of a group element, whose series needs a substep for each unit
 
 
 @dataclass(frozen=True)
@@ -50,32 +52,21 @@ class SettingsSweep:
     values: Mapping[str, Sequence[Any]]
     orbits: Sequence[str] = ()
 
-    @property
-    def members(self) -> int:
-        """Number of members."""
-        return len(next(iter(self.values.values())))
-
-    def tables(self, member: int, *names: str) -> dict[str, Any]:
-        """Return the tables of one member, or those with these names; a state on an orbit stays as written."""
-        tables = {key: deepcopy(table) for key, table in self.raw.items() if not names or key in names}
+    def file(self, member: int, only: str = "") -> File:
+        """Return the validated tables of one member, or one of them; a state on an orbit stays as written."""
+        tables = {key: deepcopy(table) for key, table in self.raw.items() if only in ("", key)}
         for key, values in self.values.items():
             path = parse_key(key)
-            if key not in self.orbits and (not names or path[0] in names):
+            if key not in self.orbits and only in ("", path[0]):
                 with section(self.name, f"sweep.over.{key}"):
                     _replace(tables, path, values[member])
-        return tables
+        return validate(self.name, tables, only)
 
-    def file(self, member: int, *names: str) -> File:
-        """Return the validated tables of one member, or those with these names."""
-        problems = Problems(self.name)
-        file = parse_tables(self.tables(member, *names), problems, names)
-        problems.check()
-        return file
-
-    def each(self, keys: Iterable[str], function: Callable[[int], Any]) -> list[Any]:
+    def each(self, keys: Sequence[str], function: Callable[[int], Any]) -> list[Any]:
         """Return `function(member)` for every member, evaluated once for equal values of these keys."""
         results: dict[str, Any] = {}
-        members = [repr([self.values[key][member] for key in keys]) for member in range(self.members)]
+        count = len(next(iter(self.values.values())))
+        members = [repr([self.values[key][member] for key in keys]) for member in range(count)]
         for member, values in enumerate(members):
             if values not in results:
                 try:
@@ -104,9 +95,7 @@ class SettingsSweep:
                 if not momenta_of(own, state)[1]:
                     raise ValueError(f"x0 has the shape {state.shape}, already an ensemble; sweep over one state")
                 for key in self.orbits:
-                    if not own.has_structure_constants:
-                        raise ValueError(f"{own.name} has no structure constants, and no orbits; sweep over values")
-                    state = move_on_orbit(own.algebra, state.astype(np.float64), np.array(self.values[key][member]))
+                    state = _move_on_orbit(own, state.astype(np.float64), np.array(self.values[key][member]))
             return state
 
         # Named states and orbits depend on the system.
@@ -116,16 +105,7 @@ class SettingsSweep:
             return np.stack(states)
 
 
-def parse_key(text: str) -> KeyPath:
-    """Return the names and indices of a key, such as 'initial.x[0]'."""
-    if not _KEY.fullmatch(text):
-        raise ValueError(
-            f"{short(text)} is no key of a file; give one such as 'initial.x[0]' or 'system.parameters.inertia[2]'"
-        )
-    return tuple(int(part) if part.isdecimal() else part for part in re.findall(r"[\w-]+", text))
-
-
-def _replace(tables: Any, path: KeyPath, value: Any) -> None:
+def _replace(tables: Any, path: Sequence[str | int], value: Any) -> None:
     """Set the value at a key; tables within tables are created, and entries of lists must exist."""
     try:
         for key in path[:-1]:
@@ -139,68 +119,52 @@ def _replace(tables: Any, path: KeyPath, value: Any) -> None:
 
 def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> SettingsSweep:
     """Return the sweep of a file from its validated table, with random settings drawn and files read."""
-    problems, folder = Problems(name), Path(name).parent
-    lengths: dict[str, int] = {}
+    settings: dict[str, Sequence[Any]] = {}
     groups: dict[str, str] = {}
     for key, table in sweep.over.items():
-        with problems.at(f"sweep.over.{key}"):
-            _check_key(key, table, sweep.over)
+        with section(name, f"sweep.over.{key}"):
             # Random keys are set together, and so are the columns of a file.
             groups[key] = "samples" if table.kind in DISTRIBUTIONS else f"file {table.file}" if table.file else key
-            listed = table.values or (() if table.file is None else _read_rows(table.file, table.column, folder))
-            lengths[groups[key]] = len(listed) or table.count or sweep.samples or 0
-    problems.check()
+            settings[key] = _settings_of(key, sweep, raw, Path(name).parent)
+    lengths = {group: len(settings[key]) for key, group in groups.items()}
     with section(name, "sweep.over"):
         members, changes_system = math.prod(lengths.values()), any(not key.startswith("initial") for key in groups)
         needed = BYTES_PER_SYSTEM if changes_system else BYTES_PER_MEMBER
         check_available_memory(needed * len(groups) * members, f"a sweep of {short(members)} members")
     numbers = dict(zip(lengths, np.unravel_index(np.arange(members), tuple(lengths.values())), strict=True))
-    values: dict[str, list[Any]] = {}
-    for key, group in groups.items():
-        with problems.at(f"sweep.over.{key}"):
-            settings = _settings_of(key, sweep, raw, folder)
-            settings = settings.tolist() if isinstance(settings, np.ndarray) else settings
-            values[key] = [settings[k] for k in numbers[group].tolist()]
-    problems.check()
+    values = {key: [settings[key][k] for k in numbers[group].tolist()] for key, group in groups.items()}
     return SettingsSweep(name, raw, values, [key for key in groups if sweep.over[key].kind == "orbit"])
 
 
-def _check_key(key: str, table: SettingsTable, others: Iterable[str]) -> None:
-    path = parse_key(key)
-    if not key.startswith(tuple(f"{root}{mark}" for root in SWEPT_TABLES for mark in ".[")):
-        raise ValueError(f"only keys within {', '.join(SWEPT_TABLES)} can be swept")
-    if path[:2] in (("initial", "attitude"), ("initial", "kind")):
-        raise ValueError(f"{key} is the same for all members")
-    if table.kind == "orbit" and key != STATE_KEY:
-        raise ValueError("orbit applies to states only; give it for 'initial.x'")
-    for other in others:
-        if key.startswith((f"{other}.", f"{other}[")):
-            raise ValueError(f"{other} is swept too, and contains it")
-
-
-def _settings_of(key: str, sweep: SweepTable, raw: Mapping[str, Any], folder: Path) -> Any:
-    """Return the settings of a key, as a list or along the first axis; its value in the file has their shape."""
+def _settings_of(key: str, sweep: SweepTable, raw: Mapping[str, Any], folder: Path) -> list[Any]:
+    """Return the settings of a key; its value in the file has their shape."""
     table = sweep.over[key]
     if table.values is not None:
         return table.values
     if table.file is not None:
-        return _read_rows(table.file, table.column, folder)
+        return list(_read_rows(table.file, table.column, folder).tolist())
+    count, value = table.count or sweep.samples or 0, None
+    if table.count is None:
+        value = _value_at(raw, key)
+        if key == STATE_KEY and value is None:
+            raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
+        if key == STATE_KEY and isinstance(value, str):
+            value = array_of_file(folder / value, value)
+    shape = () if value is None else np.shape(read_finite(value, "what the file has here"))
+    check_available_memory(BYTES_PER_SETTING * count * math.prod(shape), f"{short(count)} settings")
     if table.count is not None:
-        return _grid(table.kind, getattr(table, table.kind), table.count)
-    assert sweep.samples is not None and sweep.seed is not None
-    value: Any = raw
+        return _grid(table.kind, getattr(table, table.kind), count)
+    assert sweep.seed is not None
+    return list(random_settings(table.kind, getattr(table, table.kind), key, sweep.seed, count, shape).tolist())
+
+
+def _value_at(raw: Any, key: str) -> Any:
     try:
         for part in parse_key(key):
-            value = value[part]
+            raw = raw[part]
     except (LookupError, TypeError):
-        value = None
-    if key == STATE_KEY and value is None:
-        raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
-    if key == STATE_KEY and isinstance(value, str):
-        value = array_of_file(folder / value, value)
-    shape = () if value is None else np.shape(read_finite(value, "what the file has here"))
-    check_available_memory(BYTES_PER_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
-    return random_settings(table.kind, getattr(table, table.kind), key, sweep.seed, sweep.samples, shape)
+        return None
+    return raw
 
 
 def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
@@ -267,24 +231,12 @@ def _number_pair(values: list[Any], what: str, shape: tuple[int, ...]) -> tuple[
     return pair[0], pair[1]
 
 
-def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(K) x, K y = J(y) u, the motion of H = u.y for the time 1, by a series in index order."""
-    i, j, k, c = algebra.triples
-    n, y = len(x), np.array(x)
-
-    def action(z: NDArray[np.float64]) -> NDArray[np.float64]:
-        entries = c * z[k]
-        return np.asarray(np.bincount(i, entries * u[j], n) - np.bincount(j, entries * u[i], n), dtype=np.float64)
-
-    norm = float(np.bincount(i, abs(c * u[j]), n).max(initial=0.0) + np.bincount(j, abs(c * u[i]), n).max(initial=0.0))
-    pieces = max(1, math.ceil(norm))
-    if pieces > MAX_TERMS:
-        raise ValueError(f"orbit moves a state by exponents of size {norm:.3g}; give less than {MAX_TERMS}")
-    for _ in range(pieces):
-        term, order = y, 1
-        while order < MAX_TERMS and np.any(term):
-            term = action(term) / (order * pieces)
-            if np.all(y + term == y):
-                break
-            y, order = y + term, order + 1
-    return y
+def _move_on_orbit(system: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return exp(K) x, K y = J(y) u, the motion of H = u.y for the time 1."""
+    if not system.has_structure_constants:
+        raise ValueError(f"{system.name} has no structure constants, and no orbits; sweep over values")
+    bracket = bracket_of(system.algebra, 1)
+    norm = np.abs(bracket.generator(u)).sum(axis=0).max(initial=0.0)
+    if norm > MAX_EXPONENT:
+        raise ValueError(f"orbit moves a state by exponents of size {norm:.3g}; give less than {MAX_EXPONENT}")
+    return Exponential.of(bracket, u, x).end
