@@ -27,6 +27,7 @@ from coadjoint.validation import read_integer, read_list, read_numbers, read_tit
 
 # Peak during construction: names and their lookup table; four columns, three times; and parts of them, up to a size.
 BYTES_PER_DIMENSION = 140
+BYTES_PER_NAME = 260  # with its place in mappings of names; measured, with a margin
 BYTES_PER_CONSTANT = 130
 BYTES_OF_PARTS, MAX_BYTES_OF_PARTS = 100, 10**8
 
@@ -124,6 +125,7 @@ def _check_finite_constants(i: Integers, j: Integers, k: Integers, c: Floats) ->
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
     """Validate the names of the basis elements; the default is ``e1, e2, ...``."""
     if basis is None:
+        check_available_memory(BYTES_PER_NAME * dim, f"the basis of an algebra of dimension {short(dim)}")
         return tuple(f"e{i}" for i in range(1, dim + 1))
     names = (basis,) if isinstance(basis, str) else read_list(basis, "basis", "it must be a sequence of names")
     if len(names) != dim:

@@ -18,7 +18,7 @@ from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.methods.forced import check_steps
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.loops.member_batches import raise_reason
-from coadjoint.runs.plan_and_state import Plan, State, check_run_memory
+from coadjoint.runs.plan_and_state import Plan, State
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
@@ -106,7 +106,6 @@ class FinalStateRun:
         if prepared.system.has_matrices or prepared.representation is not None:
             return None
         layout = loops.layout(1, 2, 0)
-        check_run_memory(layout, Times(times.t0, times.h, 1, 1), 1)
         if layout.size > MAX_CACHED_NUMBERS:
             return None
         self._loops, self._numbers = loops, np.zeros(layout.size)

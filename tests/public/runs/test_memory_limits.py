@@ -42,6 +42,7 @@ def view(*shape):
 
 TOO_LARGE = {
     "LieAlgebra": lambda: co.LieAlgebra([(0, 1, 1, 1.0)], dim=10**9),
+    "brackets": lambda: co.LieAlgebra.from_brackets(10**9, ["[e1, e2] = e2"]),
     "dense constants": lambda: co.LieAlgebra(view(10**5, 10**5, 10**5)),
     "so": lambda: co.algebras.so(400),
     "so, by name": lambda: co.algebras.get("so(1000000000000000000000000000000)"),
