@@ -34,9 +34,7 @@ def inner(y):
 
 
 class Holder:
-    """An object that functions may read, with everything that it could differ in."""
-
-    factor = 1.0
+    """An object that functions may read."""
 
     def __init__(self, own):
         self.own = own
@@ -44,45 +42,12 @@ class Holder:
     def times(self, y):
         return self.own * y
 
-    def plus(self, y):
-        return self.own + y
 
-
-class Slotted:
-    __slots__ = ("first", "second")
-
-    def __init__(self, first, second):
-        self.first, self.second = first, second
-
-
-class LongerSlotted(Slotted):
-    __slots__ = "third"
-
-    def __init__(self, first, second, third):
-        super().__init__(first, second)
-        self.third = third
-
-
-class Number(float):
-    """A number with an attribute."""
-
-
-def numbered(value, label):
-    found = Number(value)
-    found.label = label
-    return found
-
-
-def kind_with(**names):
-    return type("Kind", (Holder,), names)
+Named = collections.namedtuple("Named", ("first", "second"))
 
 
 def product_of(a, b, c=0.0):
     return a * b + c
-
-
-def cached(a):
-    return functools.lru_cache(maxsize=None)(lambda y: a * y)
 
 
 def own_dataclass(value):
@@ -103,31 +68,11 @@ VARIED = {
         lambda a, c: functools.partial(product_of, a, c=c),
         [(1, 1), (1, 2), (2, 1), (2, 2), (inner, 1), (times(1.0)[0], 1), (times(2.0)[0], 1)],
     ),
-    "method": (lambda name, own: getattr(Holder(own), name), [("times", 1.0), ("times", 2.0), ("plus", 1.0)]),
-    "method of a class": (
-        lambda function: kind_with(f=classmethod(function)).f,
-        [(inner,), (times(1.0)[0],), (times(2.0)[0],)],
-    ),
-    "static or class method": (
-        lambda kind, a: kind_with(f=kind(times(a)[0])),
-        [(staticmethod, 1.0), (staticmethod, 2.0), (classmethod, 1.0), (classmethod, 2.0)],
-    ),
-    "property": (
-        lambda *functions: kind_with(f=property(*functions)),
-        [(inner,), (product_of,), (inner, inner), (inner, product_of), (inner, None, inner), (inner, inner, inner)],
-    ),
-    "cached property": (lambda a: kind_with(f=functools.cached_property(times(a)[0])), [(1.0,), (2.0,)]),
     "bound method of a builtin": (
         lambda value, name: getattr(value, name),
         [({1: 2}, "get"), ({1: 3}, "get"), ({1: 2}, "pop"), ([1], "pop"), ((1.0, 2.0), "index"), ((1.0,), "index")],
     ),
-    "cached function": (cached, [(1.0,), (2.0,)]),
-    "object": (Holder, [(1.0,), (2.0,), (1,), ("1",), (None,)]),
-    "class": (kind_with, [{}, {"factor": 2.0}, {"factor": 3.0}, {"other": 2.0}, {"times": inner}, {"plus": inner}]),
-    "class of an object": (lambda **names: kind_with(**names)(1.0), [{}, {"factor": 2.0}, {"times": inner}]),
-    "slots": (Slotted, [(1, 2), (2, 1), (1, 1), (2, 2)]),
-    "slots of a base": (LongerSlotted, [(1, 2, 3), (2, 1, 3), (1, 2, 4), (3, 2, 1)]),
-    "number with an attribute": (numbered, [(1.0, "a"), (2.0, "a"), (1.0, "b")]),
+    "named tuple": (Named, [(1, 2), (2, 1), (1.0, 2)]),
     "dataclass of the library": (own_dataclass, [(2,), (4,), (6,)]),
     "decimal": (decimal.Decimal, [("1.0",), ("1.00",), ("2",)]),
     "range": (range, [(3,), (1, 3), (1, 3, 2), (4,)]),
@@ -159,7 +104,7 @@ def test_whatever_an_object_holds_is_in_its_key(name):
     def made(call):
         return make(**call) if isinstance(call, dict) else make(*call)
 
-    for around in (lambda value: value, lambda value: times(value)[0], lambda value: [Holder((value, 0.0))]):
+    for around in (lambda value: value, lambda value: times(value)[0], lambda value: [{0: (value, 0.0)}]):
         keys = [compilation_key(around(made(call))) for call in calls]
         assert all(isinstance(key, str) for key in keys)
         assert len(set(keys)) == len(calls)
@@ -190,7 +135,7 @@ def test_options_of_compilation_are_in_the_key():
 
 def test_a_value_that_is_met_again_is_another_than_an_equal_one():
     """[a, b] with a is b, and with a equal to b, can differ in what a function does to them."""
-    one, other = Holder(1.0), Holder(1.0)
+    one, other = times(1.0)[0], times(1.0)[0]
     assert compilation_key([one, one]) != compilation_key([one, other]) == compilation_key([other, one])
     assert compilation_key([one, other, one]) != compilation_key([one, other, other])
 
@@ -210,16 +155,12 @@ def helper(y):
 TABLE = ({5}, ({6}, -0.25, (1.0, 2.0)), "text")
 ARRAY = np.array([0.5, {7}])
 SETTINGS = {{"a": [1.0, {8}], "b": {{1, 2, {9}}}}}
-class Base:
-    factor = {10}
-    def shift(self, y):
-        return y + {11}
-class Machine(Base):
-    def __init__(self):
-        self.own = {12}
-    def __call__(self, y):
-        return self.own * self.shift(y) * self.factor
-machine = Machine()
+factor = {10}
+def shift(y):
+    return y + {11}
+def made(own):
+    return lambda y: own * shift(y) * factor
+machine = made({12})
 def bound(power, y):
     return y ** power
 partial = functools.partial(bound, {13})
@@ -304,11 +245,12 @@ def test_numbers_that_are_equal_and_not_the_same():
     numbers = [1, 1.0, True, np.float64(1), np.float32(1), 1 + 0j, "1", b"1", 0.0, -0.0, math.nan, None, (), [], {}]
     numbers += [(1, 2), [1, 2], {1, 2}, frozenset((1, 2)), {1: 2, 3: 4}, {3: 4, 1: 2}, np.array(1), np.array([1])]
     numbers += [np.array([(1, 2)], dtype=[(name, "i4"), ("c", "i4")]) for name in "ab"]
-    numbers += [np.array([1, "a"], dtype=object), np.array([1, "b"], dtype=object), np.ones((2, 3)).T, np.ones((3, 2))]
+    numbers += [np.ones((2, 3)).T, np.ones((3, 2))]
     assert len({contents_of(lambda number=number: number)[0] for number in numbers}) == len(numbers)
 
 
 VECTORIZED = np.frompyfunc(inner, 1, 1)
+HELD, OBJECTS = Holder(1.0), np.array([1, "a"], dtype=object)
 
 
 def test_what_cannot_be_followed_is_named():
@@ -318,6 +260,11 @@ def test_what_cannot_be_followed_is_named():
         lambda y: eval("y"),
         lambda y: open("file").read(),
         lambda y, queue=collections.deque([1.0]): queue[0] * y,
+        lambda y: Holder(1.0).times(y),
+        lambda y, held=HELD: held.times(y),
+        Holder(1.0).times,
+        functools.lru_cache(inner),
+        lambda y: OBJECTS[0] * y,
         lambda y: VECTORIZED(y),
         numba.cfunc("f8(f8)")(lambda y: y),
         types.FunctionType(made().value.__code__, {**vars(made()), "helper": (one for one in ())}),

@@ -30,7 +30,7 @@ def spins(functions):
 
 
 def test_one_text_at_many_sites():
-    """Without the warning of many functions. Each spin turns about its axis, by a cosh(y)-slope that it keeps."""
+    """Each spin turns about its axis, by a cosh(y)-slope that it keeps."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("default", co.LongWait)  # of a busy machine
@@ -41,20 +41,6 @@ def test_one_text_at_many_sites():
     c, d = np.cos(angle), sign * np.sin(angle)
     turned = np.array([0.3, 0.4 * c + 0.2 * d, -0.2 * c + 0.4 * d])
     np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize(("pairs", "warns"), [(48, True), pytest.param(47, False, marks=pytest.mark.long)])
-def test_many_functions_are_warned_of_before_they_are_compiled(pairs, warns):
-    """From 48 different functions on."""
-    system = spins([times(5.0 + k) for k in range(pairs)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        warnings.simplefilter("default", co.LongWait)  # of a busy machine
-        if warns:
-            with refused(UserWarning, "48", "functions"):
-                co.prepare(system, co.Splitting(), 0.1)
-        else:
-            co.prepare(system, co.Splitting(), 0.1)
 
 
 STALE = """

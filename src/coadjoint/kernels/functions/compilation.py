@@ -13,7 +13,7 @@ import re
 import types
 import warnings
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -23,7 +23,7 @@ from numba import types as numba_types
 from numba.extending import intrinsic, overload_method
 
 from coadjoint.interruption import deferred
-from coadjoint.kernels.functions.contents import cells_of, compilation_key, contents_of, global_reads, is_known, is_own
+from coadjoint.kernels.functions.contents import cells_of, contents_of, global_reads, is_known, is_own
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
 from coadjoint.systems.user_functions import MultipleOf
@@ -138,24 +138,6 @@ def callback_of(
             raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
 
     return compile_cached(function, (size, results, scalar, flat, timed), what, make)
-
-
-# Functions from which on a warning is given, after some seconds of compilation, and the time (s) that one takes.
-WARNING_COUNT, SECONDS_PER_FUNCTION = 48, 0.05
-
-
-def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
-    """Warn before compiling so many functions of a Hamiltonian that it takes seconds."""
-    known = {digest for digest, _ in _COMPILED}
-    count = len({compilation_key(function) for function in functions} - known) if len(functions) >= WARNING_COUNT else 0
-    if count >= WARNING_COUNT:
-        warnings.warn(
-            f"{count} different Python functions are compiled one by one, about {SECONDS_PER_FUNCTION * count:.0f} s "
-            "in all; it is faster to write one function of many commuting coordinates, with an array of constants: "
-            "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
-            UserWarning,
-            stacklevel=2,
-        )
 
 
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from coadjoint.optional_packages import MissingPackageError, installed, require_packages
+from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
@@ -47,14 +47,6 @@ def compiled_function(
     callback = callback_of(function, size, results, scalar, flat, timed, what)
     others = size, results, scalar, flat, timed, what
     return KernelFunction(callback.address, callback, lambda: (_recompiled, (picklable_function(function), *others)))
-
-
-def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
-    """Warn before compiling so many Python functions that it takes seconds; do nothing without Numba."""
-    if installed("numba"):
-        from coadjoint.kernels.functions.compilation import warn_many_functions
-
-        warn_many_functions(list(functions))
 
 
 def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:

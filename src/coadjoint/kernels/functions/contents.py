@@ -1,4 +1,8 @@
-"""Digests of functions and everything they read: equal digests imply equal machine code and equal runs."""
+"""Digests of functions and everything they read: equal digests imply equal machine code and equal runs.
+
+Functions are followed through their code, defaults, closures, and the globals and attributes of modules that they name,
+and objects of this library through their attributes. Classes and objects of others are not followed, but named.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,6 @@ import inspect
 import sys
 import sysconfig
 import types
-from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import date, timedelta
 from decimal import Decimal
@@ -32,8 +35,12 @@ PLAIN = frozenset(
     {bool, int, float, complex, str, bytes, type(None), type(...), Fraction, Decimal, range, date, timedelta}
 )
 CONTAINERS = frozenset({tuple, list, set, frozenset, dict, types.MappingProxyType})
-DATA: tuple[Any, ...] = (dict, tuple, list, set, frozenset, int, float, complex, str, bytes)
-"""Types of which a derived one has the value, beside its attributes."""
+DATA: tuple[Any, ...] = dict, tuple, list, float, str
+"""Types of which one of this library has the value, beside its attributes."""
+CODE = (
+    *("co_argcount", "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_names", "co_varnames"),
+    *("co_freevars", "co_cellvars", "co_code", "co_exceptiontable", "co_consts"),
+)
 
 
 def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]]:
@@ -55,7 +62,7 @@ def compilation_key(function: Any) -> Any:
 
 
 class _Digester:
-    """One traversal: functions and instances are numbered in order of first visit, data are added by content."""
+    """One traversal: functions and objects are numbered in order of first visit, data are added by content."""
 
     def __init__(self, written: bool) -> None:
         self.digest, self.unknown, self.written = hashlib.blake2b(digest_size=32), list[str](), written
@@ -84,10 +91,62 @@ class _Digester:
             self.update("again", number[0])
         else:
             self._visited[id(value)] = len(self._visited), value
-            parts = PARTS.get(type if isinstance(value, type) else kind, _parts_of_instance)(value, self)
+            parts = _parts(value, self)
             self.update(len(parts))
             for part in parts:
                 self.add(part)
+
+
+def _parts(value: Any, walk: _Digester) -> list[Any]:
+    """Return the parts of an object from which its digest is computed."""
+    kind = type(value)
+    match value:
+        case dict() | types.MappingProxyType() if kind in CONTAINERS:
+            return list(value.items())
+        case set() | frozenset() if kind in CONTAINERS:
+            return sorted(value, key=repr)
+        case list() | tuple() if kind in CONTAINERS or (hasattr(kind, "_fields") and not is_own(kind.__module__)):
+            return list(value)
+        case types.FunctionType():
+            return _parts_of_function(value, walk)
+        case types.CodeType():
+            return [getattr(value, name) for name in CODE]
+        case types.ModuleType():
+            return [value.__name__]
+        case types.MethodType():
+            return [value.__func__, value.__self__]
+        case functools.partial():
+            return [value.func, value.args, value.keywords]
+        case type():
+            is_named = is_known(value.__module__) or is_own(value.__module__)
+            return (
+                [value.__module__, value.__qualname__] if is_named else walk.give_up(f"the class {value.__qualname__}")
+            )
+        case np.dtype():
+            return [str(value)]
+        case np.ufunc():
+            return [value.__name__] if value.__name__.isidentifier() else walk.give_up(f"the function {value.__name__}")
+        case Polynomial():
+            return sorted(value.monomials.items())
+    if isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher of Numba
+        signatures = () if value._can_compile else value.nopython_signatures
+        options = sorted(value.targetoptions.items()), sorted(value.locals.items())
+        return [str(options), *map(str, signatures), value.py_func]
+    if kind.__module__.startswith("numba."):
+        return [str(value)] if ".types" in kind.__module__ else walk.give_up(f"an object of {kind.__qualname__}")
+    if callable(value) and isinstance(getattr(value, "__qualname__", None), str):  # of C, in known packages
+        owner = getattr(value, "__objclass__", getattr(value, "__self__", None))
+        module = getattr(value, "__module__", None) or "builtins"
+        return [module, value.__name__, owner] if is_known(module) else walk.give_up(f"{module}.{value.__qualname__}")
+    if not is_own(kind.__module__):
+        return walk.give_up(f"an object of {kind.__qualname__}")
+    if is_dataclass(value):
+        return [kind, *(getattr(value, field.name) for field in fields(value))]
+    data = next((base(value) for base in DATA if isinstance(value, base)), None)
+    state: Any = object.__getstate__(value)  # type: ignore[attr-defined]
+    held = {**(state[0] or {}), **state[1]} if isinstance(state, tuple) else state or {}
+    cached = functools.cached_property, cached_if_small
+    return [kind, data, *((k, v) for k, v in sorted(held.items()) if not isinstance(getattr(kind, k, None), cached))]
 
 
 def _parts_of_function(function: types.FunctionType, walk: _Digester) -> list[Any]:
@@ -116,83 +175,6 @@ def _attributes_read(value: Any, attributes: frozenset[str]) -> list[Any]:
         return []
     found = [(name, vars(value)[name]) for name in sorted(attributes & vars(value).keys())]
     return [(name, member, *_attributes_read(member, attributes - {name})) for name, member in found]
-
-
-def _parts_of_class(kind: type, _: _Digester) -> list[Any]:
-    if is_known(kind.__module__) or is_own(kind.__module__):
-        return [kind.__module__, kind.__qualname__]
-    members = sorted(vars(kind).items())
-    members = [(k, v) for k, v in members if isinstance(v, types.FunctionType) or not k.startswith(("__", "_abc_"))]
-    return [kind.__qualname__, kind.__bases__, *members]
-
-
-def _parts_of_builtin(value: Any, walk: _Digester) -> list[Any]:
-    """Return the name of a function of C, which identifies it in known packages, and the object that it belongs to."""
-    owner = getattr(value, "__objclass__", getattr(value, "__self__", None))
-    module = getattr(value, "__module__", None) or "builtins"
-    if not is_known(module):
-        return walk.give_up(f"{module}.{value.__qualname__}")
-    return [module, value.__name__, owner]
-
-
-def _parts_of_instance(value: Any, walk: _Digester) -> list[Any]:
-    """Return the class of an object, its value if it is a number or a container, and its attributes."""
-    kind = type(value)
-    if isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher of Numba
-        signatures = () if value._can_compile else value.nopython_signatures
-        options = sorted(value.targetoptions.items()), sorted(value.locals.items())
-        return [str(options), *map(str, signatures), value.py_func]
-    if kind.__module__.startswith("numba."):
-        return [str(value)] if ".types" in kind.__module__ else walk.give_up(f"an object of {kind.__qualname__}")
-    if isinstance(value, np.ufunc):
-        return [value.__name__] if value.__name__.isidentifier() else walk.give_up(f"the function {value.__name__}")
-    if callable(value) and isinstance(getattr(value, "__qualname__", None), str):
-        return _parts_of_builtin(value, walk)
-    if isinstance(value, np.ndarray):
-        return [value.shape, value.ravel().tolist()]
-    if isinstance(value, np.dtype) or (hasattr(kind, "__array__") and is_known(kind.__module__)):
-        return [str(value) if isinstance(value, np.dtype) else np.asarray(value)]
-    if is_dataclass(value) and is_own(kind.__module__):
-        return [kind, *(getattr(value, field.name) for field in fields(value))]
-    data = next((base(value) for base in DATA if isinstance(value, base)), None)
-    state: Any = object.__getstate__(value)  # type: ignore[attr-defined]
-    hidden = data is None and state is None and not hasattr(value, "__dict__")
-    if hidden or any(base.__module__ in ("ctypes", "_ctypes") for base in kind.__mro__):
-        return walk.give_up(f"an object of {kind.__qualname__}")
-    held = {**(state[0] or {}), **state[1]} if isinstance(state, tuple) else state or {}
-    cached = functools.cached_property, cached_if_small
-    return [kind, data, *((k, v) for k, v in sorted(held.items()) if not isinstance(getattr(kind, k, None), cached))]
-
-
-def _named(*names: str) -> Callable[[Any, _Digester], list[Any]]:
-    return lambda value, _: [getattr(value, name) for name in names]
-
-
-PARTS: Mapping[type, Callable[[Any, _Digester], list[Any]]] = {
-    tuple: lambda value, _: list(value),
-    list: lambda value, _: value,
-    dict: lambda value, _: list(value.items()),
-    types.MappingProxyType: lambda value, _: list(value.items()),
-    set: lambda value, _: sorted(value, key=repr),
-    frozenset: lambda value, _: sorted(value, key=repr),
-    Polynomial: lambda value, _: sorted(value.monomials.items()),
-    types.FunctionType: _parts_of_function,
-    types.CodeType: _named(
-        *("co_argcount", "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_names", "co_varnames"),
-        *("co_freevars", "co_cellvars", "co_code", "co_exceptiontable", "co_consts"),
-    ),
-    types.ModuleType: _named("__name__"),
-    types.MemberDescriptorType: _named("__name__"),
-    type: _parts_of_class,
-    functools.partial: _named("func", "args", "keywords"),
-    types.MethodType: _named("__func__", "__self__"),
-    staticmethod: _named("__func__"),
-    classmethod: _named("__func__"),
-    property: _named("fget", "fset", "fdel"),
-    functools.cached_property: _named("func"),
-    type(functools.cache(str)): _named("__wrapped__"),
-}
-"""Type -> the parts of an object, from which its digest is computed."""
 
 
 @functools.lru_cache(maxsize=4096)

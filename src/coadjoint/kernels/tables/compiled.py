@@ -17,12 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Forms
-from coadjoint.kernels.functions.compiled_functions import (
-    KernelFunction,
-    compiled_function,
-    python_callback,
-    warn_slow_compilation,
-)
+from coadjoint.kernels.functions.compiled_functions import KernelFunction, compiled_function, python_callback
 from coadjoint.kernels.interface import check_fields, kernel_interface, limit
 from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
 
@@ -290,11 +285,6 @@ def addresses_of(
     keepalive: list[KernelFunction] = []
     if not functions:
         return addresses, ()
-    warn_slow_compilation(
-        user_function
-        for term in functions.values()
-        if forms_of(user_function := getattr(term, derivative)) is None and not is_called_in_python(user_function)
-    )
     for k, term in functions.items():
         keepalive.append(compiled_derivative(term, derivative, owner))
         addresses[k] = keepalive[-1].address
