@@ -16,9 +16,6 @@
 #if !defined(_WIN32)
 #include <pthread.h>
 #endif
-#if defined(__linux__)
-#include <sched.h>
-#endif
 
 #include "numbers/aligned_array.hpp"
 #include "numbers/float_mode.hpp"
@@ -52,7 +49,7 @@ typedef Called<void(int64_t, int64_t)> CalledForSlices;
 class ThreadTeam {
   public:
     // `threads` includes the calling thread; there are fewer if the system starts no more.
-    explicit ThreadTeam(int64_t threads) : processor(present_processor()) {
+    explicit ThreadTeam(int64_t threads) {
         try {
             for (int64_t number = 1; number < threads; ++number)
                 others.emplace_back([this, number] { serve(number); });
@@ -80,7 +77,6 @@ class ThreadTeam {
         left.store(int64_t(others.size()), std::memory_order_relaxed);
         {
             std::lock_guard<std::mutex> lock(mutex);
-            processor.store(present_processor(), std::memory_order_relaxed);
             job_number.fetch_add(1, std::memory_order_release);
         }
         wake.notify_all();
@@ -99,29 +95,7 @@ class ThreadTeam {
     const CalledForSlices* job = nullptr;
     int64_t total = 0, multiple = 1;
     FloatMode mode = STANDARD_MODE;
-    std::atomic<int> processor;  // of the thread that waits for the others
     bool ended = false;
-
-    static int present_processor() {
-#if defined(__linux__)
-        return sched_getcpu();
-#else
-        return -1;
-#endif
-    }
-
-    // Leave a processor, if this thread is on it and may run on others. A virtual machine may wake a thread where the one
-    // runs that waits for it, and leave both there, though another processor is idle.
-    static void leave([[maybe_unused]] int processor) {
-#if defined(__linux__)
-        cpu_set_t allowed;
-        if (present_processor() != processor || sched_getaffinity(0, sizeof allowed, &allowed)) return;
-        cpu_set_t others = allowed;
-        CPU_CLR(processor, &others);
-        if (CPU_COUNT(&others) > 0 && !sched_setaffinity(0, sizeof others, &others))
-            sched_setaffinity(0, sizeof allowed, &allowed);
-#endif
-    }
 
     void take_slice(int64_t number) const {
         const int64_t threads = int64_t(others.size()) + 1, blocks = (total + multiple - 1) / multiple;
@@ -132,7 +106,6 @@ class ThreadTeam {
 
     void serve(int64_t number) {
         uint64_t done = 0;
-        leave(processor.load(std::memory_order_relaxed));
         while (true) {
             // Steps have parts that are not shared, and waking takes longer than they do.
             int spins = 0;
@@ -141,8 +114,6 @@ class ThreadTeam {
             if (spins == MOST_SPINS) {
                 std::unique_lock<std::mutex> lock(mutex);
                 wake.wait(lock, [&] { return job_number.load(std::memory_order_acquire) != done; });
-                lock.unlock();
-                leave(processor.load(std::memory_order_relaxed));
             }
             done = job_number.load(std::memory_order_acquire);
             if (ended) return;
