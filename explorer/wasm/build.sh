@@ -14,7 +14,8 @@ exported=$exported,_probe_fma,_probe_fma_of_pair
 set --
 for file in "$here"/*.cpp "$source/steps/series.cpp" "$source/steps/series_with_gradient.cpp" "$source/steps/stepping.cpp" \
     "$source/stages/newton.cpp" "$source/boundary/description.cpp" "$source/boundary/interrupts.cpp" \
-    "$source/recording/watching.cpp"; do
+    "$source/recording/watching.cpp" "$source/recording/crossings.cpp" "$source/field/field.cpp" \
+    "$source/numbers/elementary.cpp"; do
     object="$out/objects/$(basename "$file" .cpp).o"
     emcc $options "-I$source" -include "$here/fused.hpp" -c "$file" -o "$object"
     set -- "$@" "$object"

@@ -260,7 +260,8 @@ def test_mutated_tables_do_no_harm(tmp_path):
         if system.dim < 100:
             tables.append(co.export_table(co.prepare(system, scheme, step=0.05), tmp_path / f"{k}.json"))
     names = ["interface/*", "flows/flow", "flows/compiled_rows", "flows/part_properties", "recording/watching"]
-    names += ["boundary/interrupts", "tangents/flow_directions", "tangents/flow_cotangents"]
+    names += ["boundary/interrupts", "tangents/flow_directions", "tangents/flow_cotangents", "tangents/flow_tangents"]
+    names += ["field/field", "numbers/elementary", "recording/crossings"]
     sources = [source for name in names for source in SOURCE.glob(f"{name}.cpp")]
     command = ["g++", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1", "-g1", "-w", "-std=c++17"]
     command += [

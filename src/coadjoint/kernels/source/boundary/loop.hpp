@@ -119,8 +119,7 @@ void write_lane(const A* from, double* to, int64_t length, int64_t member, int l
     for (int64_t i = 0; i < length; ++i) to[member * length + i] = lane_of(from[i], lane);
 }
 
-constexpr int MEMBER_LANES = 4 * NATIVE;  // members advanced as lanes: four vectors hide each other's latency
-constexpr int64_t MIN_LANES = 3;          // with fewer members, lanes are slower than one member after the other
+constexpr int64_t MIN_LANES = 3;  // with fewer members, lanes are slower than one member after the other
 static_assert(MOST_LANES % MEMBER_LANES == 0, "member ranges begin at multiples of MOST_LANES");
 
 }  // namespace coadjoint

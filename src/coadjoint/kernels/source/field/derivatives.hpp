@@ -122,4 +122,16 @@ NOINLINE void jacobian_times(const Field& field, const C& constants, const A* x,
     }
 }
 
+// `declared` is `extern`, or empty in field.cpp.
+#define COMPILED_DERIVATIVES(declared, C)                                                                     \
+    declared template void hessian_times(const Field&, const C&, const double*, const double*, const double&, \
+                                         double*, DerivativeWorkspace<double>&);                              \
+    declared template void jacobian_times(const Field&, const C&, const double*, const double*, const double*, \
+                                          const double&, const double&, double*, DerivativeWorkspace<double>&);
+
+#if !defined(COADJOINT_APART)
+COMPILED_DERIVATIVES(extern, SharedConstants)
+COMPILED_DERIVATIVES(extern, MemberConstants)
+#endif
+
 }  // namespace coadjoint

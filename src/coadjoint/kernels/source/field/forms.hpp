@@ -12,7 +12,10 @@ namespace coadjoint {
 
 // The value at y, NaN if the function is undefined; equal to that of `Forms` in Python up to rounding of the elementary
 // functions.
-inline double value_of_forms(const Forms& forms, const double* y) {
+ONCE double value_of_forms(const Forms& forms, const double* y);
+
+#if defined(COADJOINT_APART) || defined(COMPILES_FIELD)
+double value_of_forms(const Forms& forms, const double* y) {
     double total = 0.0, held = 0.0;
     for (int64_t f = 0; f < forms.size; ++f) {
         double form = 0.0;
@@ -42,5 +45,6 @@ inline double value_of_forms(const Forms& forms, const double* y) {
     }
     return total;
 }
+#endif
 
 }  // namespace coadjoint

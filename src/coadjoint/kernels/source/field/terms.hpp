@@ -34,7 +34,10 @@ inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
 typedef void (*UserFunction)(const double* y, double t, double* out);
 
 // The sum of all shares in their order; the threads of a team compute them side by side.
-NOINLINE inline void add_shares(const SharedFunction& function, const double* y, double* out) {
+ONCE void add_shares(const SharedFunction& function, const double* y, double* out);
+
+#if defined(COADJOINT_APART) || defined(COMPILES_FIELD)
+NOINLINE void add_shares(const SharedFunction& function, const double* y, double* out) {
     const int64_t results = function.results;
     AlignedArray<double> shares(function.shares * results);
     share_blocks(function.shares, [&](int64_t first, int64_t last) {
@@ -45,6 +48,7 @@ NOINLINE inline void add_shares(const SharedFunction& function, const double* y,
     for (int64_t k = 1; k < function.shares; ++k)
         for (int64_t i = 0; i < results; ++i) out[i] += shares.at[k * results + i];
 }
+#endif
 
 // Call the function at an address: a compiled function of the user, or, for a negative address, a table: of
 // `SharedFunction` if the address is odd, otherwise of `Forms`.
@@ -220,5 +224,29 @@ INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* ad
     }
     return total;
 }
+
+// `declared` is `extern`, or empty in field.cpp.
+#define COMPILED_ROWS_OF_TERMS(declared, A)                                                        \
+    declared template void repeated_rows<true>(const Terms&, int64_t, int64_t, const A*, A*);      \
+    declared template void repeated_rows<false>(const Terms&, int64_t, int64_t, const A*, A*);     \
+    declared template A sum_of_blocks(int64_t, int64_t, const Called<A(int64_t, int64_t)>&);
+
+#define COMPILED_TERMS_OF(declared, A, C)                                                          \
+    declared template void call_function(const C&, const int64_t*, int64_t, const A*, int64_t,     \
+                                         const A&, A*, int64_t, double*);                          \
+    declared template void gradient_rows(const Terms&, const C&, const int64_t*, int64_t,          \
+                                         const A*, const A&, A*, int64_t, A*, double*);
+
+#define COMPILED_TERMS(declared)                                          \
+    COMPILED_ROWS_OF_TERMS(declared, double)                              \
+    COMPILED_ROWS_OF_TERMS(declared, Lanes<MEMBER_LANES>)                 \
+    COMPILED_TERMS_OF(declared, double, SharedConstants)                  \
+    COMPILED_TERMS_OF(declared, double, MemberConstants)                  \
+    COMPILED_TERMS_OF(declared, Lanes<MEMBER_LANES>, SharedConstants)     \
+    COMPILED_TERMS_OF(declared, Lanes<MEMBER_LANES>, LaneConstants)
+
+#if !defined(COADJOINT_APART)
+COMPILED_TERMS(extern)
+#endif
 
 }  // namespace coadjoint

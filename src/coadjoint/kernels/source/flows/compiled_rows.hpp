@@ -36,15 +36,12 @@ namespace coadjoint {
         const ManyMembers&, double, AngleWorkspace<ManyMembers>&);
 
 #define COMPILED_ANGLES(declared, A, C)                                                                             \
-    declared template void gradient_rows(const Terms&, const C&, const int64_t*, int64_t, const A*, const A&, A*,  \
-                                         int64_t, A*, double*);                                                    \
     declared template void called_rotations(const FlowTables&, const C&, int64_t, const A&, const A*,              \
                                             const Rotations<A>&, int64_t*);                                        \
     declared template void rotate_shares(const FlowTables&, const C&, uint32_t, uint32_t, double, A*);
 
 #define COMPILED_ROWS_OF(declared, A)                                                                               \
     declared template Quaternion<A> CalledBody<A>::rotation(const A*, const A&) const;                             \
-    declared template void repeated_rows<true>(const Terms&, int64_t, int64_t, const A*, A*);                      \
     declared template void even_rows(const Terms&, uint32_t, uint32_t, uint32_t, const A*, A*);
 
 #define COMPILED_CHANGES(declared, A, V, C)                                                                         \
@@ -84,6 +81,7 @@ namespace coadjoint {
     COMPILED_CHANGES(declared, double, GroupRows, SharedConstants)       \
     COMPILED_LANES(declared, SharedConstants)                            \
     COMPILED_LANES(declared, LaneConstants)                              \
+    declared template std::vector<ElementaryFlow<double>> FlowsOfRows<double, SharedConstants>::operator()(RowRange); \
     declared template void derivative_in_registers(const CalledBody<Lanes<NATIVE>>&, double, Lanes<NATIVE>*);
 
 typedef Lanes<MEMBER_LANES> ManyMembers;

@@ -41,7 +41,7 @@ class FlowsOfRows {
         : tables(tables), constants(constants), with_group(with_group), with_cubic(with_cubic) {}
 
     // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
-    std::vector<ElementaryFlow<N>> operator()(RowRange rows) {
+    NOINLINE std::vector<ElementaryFlow<N>> operator()(RowRange rows) {
         std::vector<ElementaryFlow<N>> flows;
         bool some = false;
         for (uint32_t r = rows.first; r < rows.last; ++r) {

@@ -13,6 +13,12 @@
 
 namespace coadjoint {
 
+ONCE double rounded_sine(double x);  // for |x| > 2^-10; NaN if x is infinite
+ONCE double rounded_exponential(double x, int halvings = 0);  // exp(x) / 2^halvings: also NaN, infinite or zero
+ONCE double rounded_logarithm(double x);
+ONCE double rounded_angle(double y, double x);  // atan2(y, x)
+
+#if defined(COADJOINT_APART) || defined(COMPILES_ELEMENTARY)
 struct Pair {
     double high, low;  // the sum; |low| is at most half a unit in the last place of high
 };
@@ -205,8 +211,7 @@ NOINLINE inline Pair reduced_angle(double x, int& quarter) {
     return minus ? negative(angle) : angle;
 }
 
-// For |x| > 2^-10; NaN if x is infinite.
-NOINLINE inline double rounded_sine(double x) {
+NOINLINE double rounded_sine(double x) {
     if (!(absolute(x) <= std::numeric_limits<double>::max())) return x - x;
     int quarter;
     const Pair angle = reduced_angle(x, quarter), z = negative(times(angle, angle));
@@ -216,8 +221,7 @@ NOINLINE inline double rounded_sine(double x) {
     return quarter & 2 ? -size : size;
 }
 
-// exp(x) / 2^halvings, including results that are NaN, infinite or zero.
-NOINLINE inline double rounded_exponential(double x, int halvings = 0) {
+NOINLINE double rounded_exponential(double x, int halvings) {
     if (!(absolute(x) <= 800.0)) return x < 0.0 ? 0.0 : x * std::numeric_limits<double>::infinity();
     const double k = (x * 0x1.71547652b82fep0 + 0x1.8p52) - 0x1.8p52;  // x / ln 2, rounded to the nearest integer
     const Pair first = exact_product(-k, LN2_PARTS[0]), second = exact_product(-k, LN2_PARTS[1]);
@@ -233,7 +237,7 @@ INLINE Pair logarithm_of(double digits, int exponent) {
 }
 
 // log(digits) + exponent ln 2 for digits from sqrt(1/2) to sqrt(2): 2 artanh((digits - 1)/(digits + 1)).
-NOINLINE inline double rounded_logarithm(double x) {
+NOINLINE double rounded_logarithm(double x) {
     if (!(x > 0.0)) return x == 0.0 ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::quiet_NaN();
     if (x > std::numeric_limits<double>::max()) return x;
     int exponent;
@@ -278,8 +282,7 @@ INLINE Pair angle_of(const Direction& at) {
     return plus_smaller(whole, at.steep && at.left ? angle : negative(angle));
 }
 
-// atan2(y, x).
-NOINLINE inline double rounded_angle(double y, double x) {
+NOINLINE double rounded_angle(double y, double x) {
     constexpr double LARGEST = std::numeric_limits<double>::max();
     if (x != x || y != y) return x + y;
     const double across = absolute(y), along = absolute(x);
@@ -306,5 +309,6 @@ NOINLINE inline double rounded_angle(double y, double x) {
     }
     return std::signbit(y) ? -angle : angle;
 }
+#endif
 
 }  // namespace coadjoint

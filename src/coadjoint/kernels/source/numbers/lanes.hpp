@@ -18,6 +18,12 @@ namespace coadjoint {
 
 #define INLINE __attribute__((always_inline)) inline
 #define NOINLINE __attribute__((noinline))
+// Of functions that are compiled once, in the .cpp of their header. Steps of users, compiled apart, contain what they call.
+#if defined(COADJOINT_APART)
+#define ONCE inline
+#else
+#define ONCE
+#endif
 
 #if defined(__AVX512F__)
 constexpr int NATIVE = 8;
@@ -26,6 +32,7 @@ constexpr int NATIVE = 4;
 #else
 constexpr int NATIVE = 2;
 #endif
+constexpr int MEMBER_LANES = 4 * NATIVE;  // members advanced as lanes: four vectors hide each other's latency
 
 // The bits of exponents, and the sum of the exponents of a power of two and of its inverse.
 constexpr int64_t EXPONENT_BITS = int64_t(0x7ff) << 52, INVERSE_BITS = int64_t(2046) << 52;

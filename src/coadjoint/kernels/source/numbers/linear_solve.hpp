@@ -72,4 +72,9 @@ NOINLINE void substitute(const V* matrix, int64_t size, const V* pivots, V* righ
     }
 }
 
+#if !defined(COADJOINT_APART)
+extern template bool factorize(double*, int64_t, double*);  // in newton.cpp
+extern template void substitute(const double*, int64_t, const double*, double*, int64_t);
+#endif
+
 }  // namespace coadjoint

@@ -14,14 +14,14 @@ namespace coadjoint {
 template <class A>
 class Crossings {
   public:
-    Crossings(const Schedule& schedule, const Arrays& arrays)
+    NOINLINE Crossings(const Schedule& schedule, const Arrays& arrays)
         : events(*reinterpret_cast<const EventTables*>(schedule.events)), schedule(schedule), arrays(arrays),
           size(arrays.size), width(arrays.size + arrays.square), count(events.watch.size), states(2 * width),
           values(DEPTH * count), arguments(events.watch.longest + 1), workspace(2 * events.watch.longest + 2),
           before(states.at), earlier(states.at + width) {}
 
     // Begin with the members of some lanes, from the step after k0 on. Unused lanes repeat a member.
-    void begin(const int64_t* members, int64_t lanes_used, int64_t k0) {
+    NOINLINE void begin(const int64_t* members, int64_t lanes_used, int64_t k0) {
         used = lanes_used;
         for (int64_t lane = 0; lane < lanes; ++lane) member[lane] = members[std::min(lane, used - 1)];
         find_next_end(nullptr);
@@ -37,7 +37,7 @@ class Crossings {
     }
 
     // Store what the next call continues from.
-    void end() {
+    NOINLINE void end() {
         if (used > 0)
             exchange([this](A& current, int64_t lane, double& stored) {
                 if (lane < used) stored = lane_of(current, int(lane));
@@ -45,14 +45,14 @@ class Crossings {
     }
 
     // Set the Taylor series of the motion in the next step.
-    void set_series(const StepSeries& motion) {
+    NOINLINE void set_series(const StepSeries& motion) {
         series = motion;
         if (series.at && !event_series) event_series = std::make_unique<EventSeries>(events.watch, series.order);
     }
 
     // Process the states after step k; return whether a member has reached its end, then or before. Lanes that are not
     // `active` are skipped, if that is given.
-    INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* active = nullptr) {
+    NOINLINE bool after(int64_t k, const A* x, const A* group, const int64_t* active = nullptr) {
         for (int64_t e = 0; e < count; ++e)
             for (int64_t age = DEPTH - 1; age > 0; --age) value(age, e) = value(age - 1, e);
         measure(x, schedule.t0 + double(k) * schedule.h);
@@ -69,7 +69,7 @@ class Crossings {
     }
 
     // The next end among the active lanes, as far as known.
-    void find_next_end(const int64_t* active) {
+    NOINLINE void find_next_end(const int64_t* active) {
         next_end = std::numeric_limits<int64_t>::max();
         for (int64_t lane = 0; lane < used; ++lane)
             if (!active || active[lane]) next_end = std::min(next_end, events.limit[member[lane]]);
@@ -235,5 +235,19 @@ class Crossings {
         return position;
     }
 };
+
+// `declared` is `extern`, or empty in crossings.cpp.
+#define COMPILED_CROSSINGS(declared, A)                                                                  \
+    declared template Crossings<A>::Crossings(const Schedule&, const Arrays&);                          \
+    declared template void Crossings<A>::begin(const int64_t*, int64_t, int64_t);                       \
+    declared template void Crossings<A>::end();                                                         \
+    declared template bool Crossings<A>::after(int64_t, const A*, const A*, const int64_t*);            \
+    declared template void Crossings<A>::find_next_end(const int64_t*);                                 \
+    declared template void Crossings<A>::set_series(const StepSeries&);
+
+#if !defined(COADJOINT_APART)
+COMPILED_CROSSINGS(extern, double)
+COMPILED_CROSSINGS(extern, Lanes<MEMBER_LANES>)
+#endif
 
 }  // namespace coadjoint

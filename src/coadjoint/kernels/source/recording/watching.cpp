@@ -4,6 +4,8 @@
 
 namespace coadjoint {
 
+COMPILED_WATCHING()
+
 constexpr int64_t FILL_INTERVAL = int64_t(1) << 16;  // numbers that are filled without checking for interrupts
 
 // Fill the rows of the members first to last - 1 with one value, in each of the planes.

@@ -108,4 +108,23 @@ void record_steps(const Watch& watch, const C& constants, const Arrays& arrays, 
         if (slots[lane] >= 0) save_state(arrays, member, slots[lane], arrays.size, x, lane);
 }
 
+// `declared` is `extern`, or empty in watching.cpp.
+#define COMPILED_VALUE(declared, A, C)                                                                             \
+    declared template A value_of(const Watch&, const C&, int64_t, const A*, const A&, A*, double*);
+
+#define COMPILED_RECORD(declared, A, C)                                                                            \
+    COMPILED_VALUE(declared, A, C)                                                                                 \
+    declared template void record_steps(const Watch&, const C&, const Arrays&, const Schedule&, int64_t, int64_t,  \
+                                        const int64_t*, bool, const int64_t*, const A*, A*, double*);
+
+#define COMPILED_WATCHING(declared)                                    \
+    COMPILED_RECORD(declared, double, SharedConstants)                 \
+    COMPILED_RECORD(declared, double, MemberConstants)                 \
+    COMPILED_RECORD(declared, Lanes<MEMBER_LANES>, SharedConstants)    \
+    COMPILED_VALUE(declared, Lanes<MEMBER_LANES>, LaneConstants)
+
+#if !defined(COADJOINT_APART)
+COMPILED_WATCHING(extern)
+#endif
+
 }  // namespace coadjoint

@@ -11,6 +11,9 @@
 
 namespace coadjoint {
 
+template bool factorize(double*, int64_t, double*);
+template void substitute(const double*, int64_t, const double*, double*, int64_t);
+
 // Newton's method takes some five, with old factors some twenty.
 constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // ratio of corrections above which the factors are renewed

@@ -14,7 +14,7 @@ struct SeriesField {
     std::vector<double> offsets;
 
     template <class C>
-    SeriesField(const Field& field, const C& constants, int64_t order)
+    NOINLINE SeriesField(const Field& field, const C& constants, int64_t order)
         : SeriesField(SeriesRows<W, double>(field, constants, order)) {}
 
     // The number of vectors of products whose factors are series.

@@ -5,6 +5,8 @@
 
 namespace coadjoint {
 
+COMPILED_TANGENT_STATE()
+
 typedef Loop<FlowTangents> FlowTangentLoop;
 
 // Members are lanes if the vectors of each have at most this many numbers; lanes of vectors then stay in the cache.

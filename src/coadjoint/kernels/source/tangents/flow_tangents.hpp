@@ -290,4 +290,11 @@ struct FlowTangentState {
     }
 };
 
+// `declared` is `extern`, or empty in flow_tangents.cpp.
+#define COMPILED_TANGENT_STATE(declared)                                                                             \
+    declared template void FlowTangentState<double, TangentLanes, SharedConstants>::sweep(                           \
+        RowRange, double*, double*, TangentLanes*, const double&, double, const FurtherTangents<double, TangentLanes>&);
+
+COMPILED_TANGENT_STATE(extern)
+
 }  // namespace coadjoint

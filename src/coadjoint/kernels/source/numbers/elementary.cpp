@@ -1,0 +1,2 @@
+#define COMPILES_ELEMENTARY
+#include "numbers/elementary.hpp"
