@@ -26,9 +26,9 @@ from work_precision.further_problems import further_problems
 from work_precision.problems import problems
 
 import coadjoint as co
-from coadjoint.choosing.accuracy import _fits_with_acceptable_roundoff, _target_error
+from coadjoint.choosing.accuracy import _fits_with_acceptable_roundoff
 from coadjoint.choosing.candidates import supported_candidates
-from coadjoint.choosing.fitting import StepFit, confirmed_fit, fit, fit_of_tolerance
+from coadjoint.choosing.fitting import StepFit, confirmed_fit, fit, fit_of_tolerance, target_error
 from coadjoint.choosing.pilot import Pilot, short_run
 from coadjoint.methods.numerics.tuned_parts import rate_at
 from coadjoint.methods.protocol import cost_model
@@ -159,11 +159,10 @@ def fits_of(case: Case, accuracy: float, members: int) -> Iterator[tuple[int, St
         return
     for candidate in supported_candidates(case.system, schemes, momenta, False, strict=False):
         number = schemes.index(candidate.method)
-        goal = _target_error(candidate, accuracy)
         found = (
-            fit_of_tolerance(pilot, candidate, goal, math.inf)
+            fit_of_tolerance(pilot, candidate, accuracy)
             if candidate.method.own_steps
-            else fit(pilot, candidate, goal, math.inf)
+            else fit(pilot, candidate, target_error(pilot, accuracy), math.inf)
         )
         if found is None:
             continue
@@ -171,7 +170,7 @@ def fits_of(case: Case, accuracy: float, members: int) -> Iterator[tuple[int, St
             (found,) = _fits_with_acceptable_roundoff(pilot, [candidate], accuracy, [found])
         except ValueError:
             continue
-        found = confirmed_fit(found, goal, accuracy)
+        found = confirmed_fit(found, accuracy)
         if found.error <= accuracy:
             yield number, found
 

@@ -1,17 +1,15 @@
 """Choice of a scheme and a step for a given accuracy, by trial runs and counted work.
 
-`_choose` takes these steps in order; one that leaves no scheme raises an error that names a remedy.
+`chosen` takes these steps in order; one that leaves no scheme raises an error that names a remedy.
 
 1. Candidates: the given schemes, or those that `candidate_schemes` offers and that support system and attitude.
-2. Pilot: a reference over a window at the start of the motion of at most four members, and its rounding.
-3. Rounding of every scheme: no accuracy is reached if it grows to half the size of the motion. Steps of the user are
-   timed; the work of all others is counted.
-4. First trials: schemes that choose their own steps run once over the window, which limits the cost of all others.
-5. Constant steps: fitted by trials, cheapest prediction first; schemes that are predicted to be too expensive are not.
-6. Own steps: tolerances are fitted, at most to the lowest cost so far.
-7. Rounding of each fit: summed with compensation if that is needed and allowed; fits that round too much are dropped.
-8. Confirmation: the cheapest fit is run over the window again and corrected, until it remains the cheapest.
-9. Other members: if the chosen scheme has larger errors in members of the ensemble outside the pilot, its step is
+2. Pilot: a reference over a window at the start of the motion of at most four members, and its rounding; no accuracy is
+   reached if this grows to half the size of the motion.
+3. Families of schemes that differ only in order: trials at two steps are extrapolated by the order; two orders are
+   tried, and then the one that they predict to be the cheapest.
+4. Rounding of each fit: summed with compensation if that is needed and allowed; fits that round too much are dropped.
+5. Confirmation: the cheapest fit is run over the window again and corrected, until it remains the cheapest.
+6. Other members: if the chosen scheme has larger errors in members of the ensemble outside the pilot, its step is
    chosen again for a pilot of these.
 """
 
@@ -20,24 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.candidates import Candidate, sample_of, supported_candidates, unseen_sample, with_measured_work
-from coadjoint.choosing.fitting import (
-    ROUNDING_SHARE,
-    StepFit,
-    confirmed_fit,
-    extrapolated_fit,
-    first_tolerance_trial,
-    fit,
-    fit_of_tolerance,
-    least_roundoff,
-)
+from coadjoint.choosing.candidates import Candidate, sample_of, supported_candidates, unseen_sample
+from coadjoint.choosing.families import families, fits_of_family
+from coadjoint.choosing.fitting import ROUNDING_SHARE, StepFit, confirmed_fit, least_roundoff
 from coadjoint.choosing.pilot import Pilot
-from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
@@ -48,15 +36,6 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_bool, read_list, read_number
-
-# Safety factor of the target error.
-SAFETY_FACTOR = 3.0
-MODERATE_ORDER = 8  # orders above it get smaller targets, as their errors rise faster with the step
-TRIAL_COST_FACTOR = 1.5  # upper bound of the cost of variable steps, relative to their first trial
-# Smallest target of the error, which is used as a divisor.
-MIN_GOAL = 2.0**-1000
-
-FirstTrials = list[tuple[Candidate, StepFit | None]]
 
 
 @dataclass(frozen=True)
@@ -76,8 +55,7 @@ class Choice:
     roundoff : float
         The part of `error` that is rounding.
     cost : float
-        Work of the whole run of one member, in units of one rotation in a flow (about 11 ns); measured for steps of
-        your own.
+        Work of the whole run of one member, in units of one rotation in a flow (about 11 ns).
     others : tuple of Choice
         The other schemes considered, the cheapest first, without those abandoned early as too expensive.
 
@@ -122,15 +100,14 @@ def choose(
 ) -> Choice:
     """Choose the scheme and the step that reach a required accuracy with the least work.
 
-    Operations are counted, so the same inputs give the same choice. Only steps of your own (`StepMethod`, and
-    `CompiledStepMethod` with a step of your own in C++) that define no `work` are timed, in turns with a compiled
-    scheme, since they may be Python calls or compiled; schemes of nearly the same cost may then change places. Each
-    scheme integrates from x0 over a window at the beginning of the span, and is compared with an accurate reference.
-    Schemes that these trials predict to be more expensive are skipped. The error at other steps follows from the order.
-    The error at the end of the span is extrapolated from its growth over a quarter, a half and the whole window; the
-    growth is assumed to be at least linear, and at least quadratic for schemes that are neither symmetric nor Poisson
-    maps. Rounding is estimated. The chosen step is run over the window once more, and corrected if the error is too
-    large. Changes in the character of the motion after the window are not predicted.
+    Operations are counted, so the same inputs give the same choice. Each scheme is tried over a window at the beginning
+    of the span, from x0, and compared with an accurate reference; the error at other steps follows from the order. Of
+    schemes that differ only in their order, those that others predict to be more expensive are skipped. The error at
+    the end of the span is extrapolated from its growth over a quarter, a half and the whole window; the growth is
+    assumed to be at least linear, and at least quadratic for schemes that are neither symmetric nor Poisson maps.
+    Rounding is estimated. The chosen step is run over the window once more, and corrected until the error expected at
+    the end is a large part of the accuracy, or of a half of it if the span is longer than the window. Changes in the
+    character of the motion after the window are not predicted.
 
     Parameters
     ----------
@@ -180,6 +157,20 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
+    return chosen(system, x0, t_span, accuracy, attitude, methods, processed)
+
+
+def chosen(
+    system: System | Batch,
+    x0: Any,
+    t_span: tuple[float, float],
+    accuracy: float,
+    attitude: Any,
+    methods: Any,
+    processed: bool = False,
+    share: float = 1.0,
+) -> Choice:
+    """Return the choice; the truncation error may take a `share` of the accuracy."""
     check_system(system)
     advice = "give step= and method=, since the cost of a step of matrices is not known"
     check_vector_states(system.of_member(0), advice)
@@ -190,45 +181,35 @@ def choose(
             "choose was given methods and processed; processed=True adds to the default schemes: list processed "
             "splittings in methods, such as Splitting(scheme='blanes_casas_murua6')"
         )
+    t0, t1 = span_of(t_span)
     # Numbers overflow near a blow-up; the results are checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _choose(system, x0, span_of(t_span), required, attitude, methods, processed)
-
-
-def _choose(
-    system: System | Batch,
-    x0: Any,
-    span: tuple[float, float],
-    required: float,
-    attitude: Any,
-    methods: Any,
-    processed: bool,
-) -> Choice:
-    t0, t1 = span
-    momenta = start_of(system, reference_scheme(4), x0, False).momenta
-    schemes = _schemes(methods, processed, system.dim)
-    candidates = supported_candidates(system, schemes, x0, attitude, strict=methods is not None)
-    if t0 == t1:
-        return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
-    pilot = Pilot(*sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
-    best, *others = _fits_of_sample(pilot, candidates, required)
-    choice = _choice_of_fit(best, required)
-    if len(momenta) > len(pilot.momenta) and not choice.method.own_steps:
-        unseen = unseen_sample(system, momenta, pilot, choice.method, choice.step)
-        if unseen is not None:
-            second, *_ = _fits_of_sample(Pilot(*unseen, t0, t1 - t0, required), [best.candidate], required)
-            choice = min(choice, _choice_of_fit(second, required), key=lambda each: each.step)
+        momenta = start_of(system, reference_scheme(4), x0, False).momenta
+        schemes = _schemes(methods, processed, system.dim)
+        candidates = supported_candidates(system, schemes, x0, attitude, strict=methods is not None)
+        if t0 == t1:
+            return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
+        pilot = Pilot(*sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required, share)
+        best, *others = _fits_of_sample(pilot, candidates, required)
+        choice = _choice_of_fit(best, required)
+        if len(momenta) > len(pilot.momenta) and not choice.method.own_steps:
+            unseen = unseen_sample(system, momenta, pilot, choice.method, choice.step)
+            if unseen is not None:
+                second, *_ = _fits_of_sample(Pilot(*unseen, t0, t1 - t0, required, share), [best.candidate], required)
+                choice = min(choice, _choice_of_fit(second, required), key=lambda each: each.step)
     return replace(choice, others=tuple(_choice_of_fit(each, required) for each in others))
 
 
 def _fits_of_sample(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> list[StepFit]:
     """Return the fits for the members of a pilot, the cheapest first; raise ValueError if there are none."""
-    if least_roundoff(pilot) >= ROUNDING_SHARE:
+    least = least_roundoff(pilot)
+    if least >= ROUNDING_SHARE:
         raise _none_reached(candidates, abs(pilot.span))
-    candidates = [with_measured_work(pilot, each) for each in candidates]
-    first_trials = _first_trials(pilot, candidates, required)
-    fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
-    fits += _fits_of_own_steps(pilot, required, first_trials, fits)
+    fits = list[StepFit]()
+    for family in families(candidates):
+        fits += fits_of_family(pilot, family, required, _lowest_cost(fits, required))
+        if any(ROUNDING_SHARE * required < each.roundoff <= least for each in fits):
+            break  # all other schemes have as much rounding
     accurate = _fits_with_acceptable_roundoff(pilot, candidates, required, fits)
     return _confirmed_cheapest(pilot, candidates, accurate, required)
 
@@ -250,68 +231,6 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if not schemes:
         raise TypeError(f"methods contains nothing; {rule}")
     return schemes
-
-
-def _target_error(candidate: Candidate, required: float) -> float:
-    """Return the target of the truncation error: lower for high orders, whose errors vary more with the step."""
-    if candidate.method.own_steps:
-        return required / SAFETY_FACTOR
-    return max(required / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
-
-
-def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> FirstTrials:
-    """Return the schemes that choose their own steps, each with a first trial; None if it fails."""
-    return [
-        (each, first_tolerance_trial(pilot, each, _target_error(each, required)))
-        for each in candidates
-        if each.method.own_steps
-    ]
-
-
-def _fits_of_constant_steps(
-    pilot: Pilot,
-    candidates: Sequence[Candidate],
-    required: float,
-    first_trials: FirstTrials,
-) -> list[StepFit]:
-    """Fit the schemes with constant steps that may be the best."""
-    goal_of = partial(_target_error, required=required)
-    extrapolated = [extrapolated_fit(trial, goal_of(each)) for each, trial in first_trials if trial is not None]
-    cheapest = min(extrapolated, key=lambda trial: trial.cost, default=None)
-    # The first trial is not exact.
-    variable_step_cost = math.inf if cheapest is None else TRIAL_COST_FACTOR * cheapest.cost
-    predictor, least = StepPredictor(goal_of, cheapest), least_roundoff(pilot)
-    pending, fits = [each for each in candidates if not each.method.own_steps], list[StepFit]()
-    while pending:
-        candidate = pending.pop(0)
-        # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
-        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, _lowest_cost(fits, required)):
-            continue
-        limit = min([variable_step_cost, *(each.cost for each in fits)])
-        result = fit(pilot, candidate, goal_of(candidate), limit, predictor.predict_steps(candidate))
-        if result is None:
-            continue
-        if predictor.add_fit(result):
-            pending = predictor.cheapest_first(pending)
-        if not result.abandoned:
-            fits.append(result)
-            if ROUNDING_SHARE * required < result.roundoff <= least:
-                # All other schemes have as much rounding.
-                break
-    return fits
-
-
-def _fits_of_own_steps(
-    pilot: Pilot, required: float, first_trials: FirstTrials, fits: Sequence[StepFit]
-) -> list[StepFit]:
-    """Fit the tolerances of the schemes that choose their own steps; `fits` are those of constant steps."""
-    found = list[StepFit]()
-    for candidate, trial in first_trials:
-        limit = _lowest_cost([*fits, *found], required)
-        result = fit_of_tolerance(pilot, candidate, _target_error(candidate, required), limit, trial)
-        if result is not None:
-            found.append(result)
-    return found
 
 
 def _lowest_cost(fits: Sequence[StepFit], required: float) -> float:
@@ -345,7 +264,7 @@ def _confirmed_cheapest(
     pending, confirmed_fits, failed = sorted(accurate, key=lambda each: each.cost), list[StepFit](), list[StepFit]()
     while pending and (not confirmed_fits or pending[0].cost < min(each.cost for each in confirmed_fits)):
         first = pending.pop(0)
-        found = confirmed_fit(first, _target_error(first.candidate, required), required)
+        found = confirmed_fit(first, required)
         (confirmed_fits if found.error <= required else failed).append(found)
     if not confirmed_fits:
         raise _below_rounding(candidates, required, abs(pilot.span), min(each.error for each in failed))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint.choosing.pilot import (
     LARGE_ERROR,
-    REFERENCE,
     Pilot,
     PilotErrors,
     Trial,
@@ -28,17 +25,11 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import reference_scheme
-from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system import System
 
-# Least duration (seconds) and largest number of steps of a timed run.
-MIN_SECONDS = 2e-3
-MAX_STEPS = 2**15
-# Pairs of timed runs, of the scheme and of the reference; the median of their ratios counts.
-PAIRS = 5
 # Number of members in a pilot, and of the members from which they are selected.
 SAMPLE_SIZE = 4
 MAX_SCREENED = 256
@@ -47,8 +38,8 @@ SCREENING_SCHEME = reference_scheme(4)
 STEPS_PER_SIZE = 8
 SCREENING_STEPS = 128
 # Ratio of the largest error of the chosen scheme among all members to that in the pilot above which the latter is not
-# representative: schemes differ in their worst members. Below it, the safety factor of the target serves.
-UNSEEN_RATIO = 2.0
+# representative: schemes differ in their worst members. Below it, the accuracy is reached nevertheless.
+UNSEEN_RATIO = 1.15
 
 Sample = tuple[System | Batch, NDArray[np.float64]]
 
@@ -147,59 +138,6 @@ def _work(system: System, method: Method, representation: Any) -> Work:
     """Return the work of a step; raise ValueError or TypeError if the scheme does not support the system."""
     method.properties(system)
     return method.work(system, representation)
-
-
-def with_measured_work(pilot: Pilot, candidate: Candidate) -> Candidate:
-    """Return a candidate with a step of the user with its measured work; others, and steps that fail, unchanged."""
-    # Timed beside the reference scheme, whose work is counted: the result depends little on the speed of the machine.
-    if candidate.group is not None or candidate.method.own_steps or candidate.method._counted:
-        return candidate
-    note_progress(f"timing the steps of {type(candidate.method).__name__}")
-    cost = _measured_cost(pilot, candidate.method)
-    return candidate if cost is None else replace(candidate, work=Work(lambda iterations, evaluations: cost))
-
-
-def _measured_cost(pilot: Pilot, method: Method) -> float | None:
-    """Return the cost of a step in rotations; None if a run fails."""
-    own_count, reference_count = (_count_to_time(pilot, one) for one in (method, REFERENCE))
-    if own_count is None or reference_count is None:
-        return None
-    ratios = []
-    for _ in range(PAIRS):
-        own, reference = _timed(pilot, method, own_count), _timed(pilot, REFERENCE, reference_count)
-        if own is None or reference is None:
-            return None
-        (_, own_count, own_seconds), (run, reference_count, seconds) = own, reference
-        ratios.append((own_seconds / own_count) / (seconds / reference_count))
-    iterations, evaluations = (int(run.state[name].sum()) / reference_count for name in ("iterations", "evaluations"))
-    return median(ratios) * REFERENCE.work(pilot.system.of_member(0)).cost(iterations, evaluations)
-
-
-def _timed(pilot: Pilot, method: Method, count: int) -> tuple[Run, int, float] | None:
-    """Take about `count` steps from the first member; return the run, their number and seconds, None if they fail."""
-    # The steps of a first trial, as in `fit`, from several copies of the state if the window is short.
-    step = min(pilot.natural_step * method.order / REFERENCE.order, pilot.window)
-    steps = min(count, max(1, math.floor(pilot.window / step)))
-    copies = count // steps
-    momenta, length = np.repeat(pilot.momenta[:1], copies, axis=0), math.copysign(steps * step, pilot.span)
-    system = pilot.system.of_member(0)
-    run = short_run(system, method, momenta, pilot.t0, length, steps, steps, advanced=False)
-    begun = time.process_time()  # less disturbed by other programs than the time of a clock
-    run.advance()
-    seconds = time.process_time() - begun
-    return None if np.any(run.state["status"]) else (run, copies * steps, seconds)
-
-
-def _count_to_time(pilot: Pilot, method: Method) -> int | None:
-    """Return a number of steps that take `MIN_SECONDS`, by doubling; None if they fail."""
-    count = 1
-    _timed(pilot, method, count)  # compiles
-    while (found := _timed(pilot, method, count)) is not None:
-        _, count, seconds = found
-        if seconds >= MIN_SECONDS or count >= MAX_STEPS:
-            return count
-        count *= 2
-    return None
 
 
 def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float) -> Sample:

@@ -7,21 +7,25 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.pilot import LARGE_ERROR, REFERENCE, Pilot, Trial
+from coadjoint.choosing.pilot import CONVERGED_CHANGE, LARGE_ERROR, REFERENCE, Pilot, PilotErrors, Trial
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-MAX_TRIALS = 10  # runs of one scheme; most take two or three
+MAX_TRIALS = 10  # runs of one scheme; most take two
 # Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
 MAX_TRIAL_COST = 3e6
 # Largest cost of the confirmation of a choice, which may be repeated.
 MAX_CONFIRMATION_COST = 16 * MAX_TRIAL_COST
-MAX_CORRECTIONS = 6  # runs of a confirmation, each with STEP_INCREASE times the steps or more
+MAX_CORRECTIONS = 6  # runs of a confirmation
+# Share of the accuracy at which fits aim, and the ratio to it up to which a confirmed error is accepted.
+AIMED_SHARE, ACCEPTED_RATIO = 0.6, 1.4
+# Smallest target of the error, which is used as a divisor.
+MIN_GOAL = 2.0**-1000
 # Factor on the number of steps where the order does not predict the error.
 STEP_INCREASE = 1.2
+# Smallest relative change of the number of steps for which a confirmation is repeated.
+MIN_CHANGE = 0.02
 # Smallest ratio of a measurable truncation error to rounding and to the error of the reference.
 MEASURABLE_RATIO = 16.0
-# Accepted ratio of the error to its target.
-ACCEPTED_RATIO = 2.0
 # Errors up to this multiple of the expected rounding may be rounding.
 ROUNDING_MULTIPLE = 4.0
 # Factor on the number of steps at which an unstable scheme fails, with which it mostly succeeds.
@@ -29,22 +33,21 @@ UNSTABLE_STEP_FACTOR = 1.5
 # Relative errors at the end from which on no extrapolation to smaller steps is possible.
 MEANINGLESS_ERROR = 1.0
 # Largest ratio of steps across which a trial is extrapolated without another one.
-MAX_EXTRAPOLATION = 1.3
+MAX_EXTRAPOLATION = 1.15
 # A scheme is abandoned at (1 + this / order) times the cost of another: trials predict the steps of high orders more
 # accurately.
 ABANDON_COST_EXCESS = 6.0
-# Bounds of the steps of a first trial: usual * MUCH_FINER and usual / MUCH_COARSER.
-MAX_INITIAL_REFINEMENT, MAX_INITIAL_COARSENING = 4.0, 10.0
+# Bounds of the steps of a first trial relative to the usual ones, and of its cost to that of another scheme.
+MAX_INITIAL_REFINEMENT, MAX_INITIAL_COARSENING, MAX_TRIAL_RATIO = 4.0, 10.0, 2.0
+UNIT_TRIAL = Trial(1, PilotErrors(0.0, 0.0, 0.0), 1.0, 1.0)
 # Of the tolerance of a scheme with variable steps, most fits take two runs.
 MAX_TOLERANCE_TRIALS = 6
-# Accepted ratio of the target error to the error.
-GOAL_RATIO = 4.0
+# Accepted ratio of the target error of variable steps to the error.
+GOAL_RATIO = 2.0
 # Largest factor between the tolerances of consecutive trials.
 MAX_TOLERANCE_RATIO = 1e6
-# Ratio of the costs of two schemes above which a fit is abandoned.
-ABANDON_COST_RATIO = 1.2
 # Initial ratio of the tolerance to the target error, since errors of steps add up.
-INITIAL_TOLERANCE_RATIO = 0.1
+INITIAL_TOLERANCE_RATIO = 0.3
 
 # Unbiased rounding of the momentum per flow, in units of u, measured by Casimirs of so(3) and e(3) after 10^7 steps.
 # Smaller for Gauss methods, which preserve quadratic invariants and round only their slopes.
@@ -74,14 +77,6 @@ class StepFit:
     steps: int
     error: float
     trial: Trial
-    abandoned: bool = False
-    """Whether a trial predicted a much higher cost than another scheme's; `steps` is then a guess."""
-
-    @cached_property
-    def extrapolated(self) -> float:
-        """Ratio, at least 1, between the steps of the fit and those of the trial."""
-        ratio = self.steps / (self.trial.steps * self.pilot.windows)
-        return max(ratio, 1.0 / ratio)
 
     @cached_property
     def cost(self) -> float:
@@ -101,6 +96,22 @@ class StepFit:
             excess, _expected_rounding(self.pilot, self.candidate, self.steps, self.pilot.windows, ROUNDING_MARGIN)
         )
 
+    def target(self, required: float) -> float:
+        """Return the truncation error at which its confirmation aims, beside the rounding."""
+        return target_error(self.pilot, required - min(self.roundoff, ROUNDING_SHARE * required))
+
+    def reduced(self, error: float) -> StepFit:
+        """Return the fit with the steps that the order predicts for an error, if that is smaller."""
+        if not error < self.error < math.inf:
+            return self
+        change: float = (self.error / error) ** (1.0 / self.candidate.method.order)
+        return replace(self, steps=math.ceil(self.steps * change), error=error)
+
+
+def target_error(pilot: Pilot, required: float) -> float:
+    """Return the truncation error at the end at which fits aim, for an accuracy."""
+    return max(AIMED_SHARE * pilot.share * required, MIN_GOAL)
+
 
 def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, margin: float = 1.0) -> float:
     return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows, margin)
@@ -109,46 +120,49 @@ def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: 
 def fit(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, predicted_steps: float | None = None
 ) -> StepFit | None:
-    """Fit the steps for a truncation error `goal` at the end; None if none is found up to about the cost `limit`."""
+    """Fit the steps for a truncation error `goal` at the end by trials at two steps; a fit above the cost `limit` is a
+    guess by one trial, and None if no trial succeeds.
+    """
     order = candidate.method.order
     cost_limit = (1.0 + ABANDON_COST_EXCESS / order) * limit
-    # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
-    usual_steps = pilot.window / pilot.natural_step * REFERENCE.order / order
-    first = usual_steps if predicted_steps is None else predicted_steps / pilot.windows
+    # Default: the steps of the coarser reference, scaled by the order and the error.
+    usual_steps = pilot.reference_steps / 2 * REFERENCE.order / order
+    default = usual_steps * (CONVERGED_CHANGE * pilot.windows / goal) ** (1.0 / order)
+    first = default if predicted_steps is None else predicted_steps / pilot.windows
+    most = MAX_TRIAL_RATIO * limit / pilot.windows / _least_cost(candidate, UNIT_TRIAL._replace(evaluations=order / 2))
     steps = pilot.comparable_steps(
-        min(max(first, usual_steps / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual_steps)
+        min(max(first, usual_steps / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual_steps, most)
     )
     # If more steps fail than the order predicts, the steps are at the limit of stability.
     safety_factor = min(UNSTABLE_STEP_FACTOR, (LARGE_ERROR / goal) ** (1.0 / order))
     tried: set[int] = set()
     too_few, best = 0, None
-    for _ in range(MAX_TRIALS):
-        if steps in tried:
-            break
+    while steps not in tried and len(tried) < MAX_TRIALS:
         tried.add(steps)
         trial = pilot.trial(candidate.method, steps)
         if trial is None or not trial.error < LARGE_ERROR:
             too_few = max(too_few, steps)
-            if trial is not None and _least_cost(pilot, candidate, trial) > cost_limit:
-                # More steps are even more expensive.
-                return None if best is None else replace(best, abandoned=True)
-            if steps > (2**20 if trial is None else MAX_TRIAL_COST / candidate.cost(trial)):
+            if steps > 2**20 if trial is None else steps * pilot.windows * _least_cost(candidate, trial) > cost_limit:
+                break
+            if trial is not None and steps * candidate.cost(trial) > MAX_TRIAL_COST:
                 break
             # Bisect between failing and successful numbers of steps, if there are both.
             steps = pilot.comparable_steps(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
         noise = MEASURABLE_RATIO * max(pilot.noise, _expected_rounding(pilot, candidate, steps, 1.0))
         best = _extrapolate(pilot, candidate, goal, trial, noise)
-        conclusive = best.end < MEANINGLESS_ERROR or _least_cost(pilot, candidate, trial) > cost_limit
-        if best.cost > cost_limit and trial.error > noise and conclusive:
-            return replace(best, abandoned=True)
+        # Shorter steps take fewer iterations.
+        near = best.steps <= 2.0 * steps * pilot.windows
+        least = best.cost if near else best.steps * _least_cost(candidate, trial)
+        if least > cost_limit and trial.error > noise and best.end < MEANINGLESS_ERROR:
+            break
         aim = max(goal / candidate.growth(pilot, trial), noise)
-        change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
+        change: float = (max(trial.error, noise * 0.5**order) / aim) ** (1.0 / order)
         max_steps = MAX_TRIAL_COST / candidate.cost(trial)
         next_steps = pilot.comparable_steps(
             max(safety_factor * too_few, min(steps * min(max(change, 0.2), 5.0), max_steps))
         )
-        if 1 / MAX_EXTRAPOLATION <= next_steps / steps <= MAX_EXTRAPOLATION and trial.error <= 4 * aim:
+        if 1 / MAX_EXTRAPOLATION <= next_steps / steps <= MAX_EXTRAPOLATION:
             break
         steps = next_steps
     if best is None or best.steps >= safety_factor * too_few * pilot.windows:
@@ -157,10 +171,10 @@ def fit(
     return replace(best, steps=steps, error=best.error * (best.steps / steps) ** order)
 
 
-def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
-    """Return a lower bound on the cost with the steps of a trial, with one iteration per step."""
+def _least_cost(candidate: Candidate, trial: Trial) -> float:
+    """Return a lower bound on the cost of a step: with one iteration."""
     single = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
-    return trial.steps * pilot.windows * candidate.cost(single) * candidate.share
+    return candidate.cost(single) * candidate.share
 
 
 def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> StepFit:
@@ -174,87 +188,97 @@ def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, 
     return StepFit(pilot, candidate, steps, error, trial)
 
 
-def confirmed_fit(fitted: StepFit, goal: float, required: float) -> StepFit:
-    """Run a fit over the window once more, and correct its step until the error at the end serves `required`."""
-    # An error that may be rounding is measured too, since large steps amplify rounding beyond its estimate.
-    pilot, order = fitted.pilot, fitted.candidate.method.order
-    bound = min(ACCEPTED_RATIO * goal, required * (1.0 - ROUNDING_SHARE))
+def confirmed_fit(fitted: StepFit, required: float) -> StepFit:
+    """Run a fit over the window, and correct its steps until its error at the end is a large part of `required`, but
+    leaves the rounding; the error is larger than `required` if that fails.
+    """
+    pilot, method = fitted.pilot, fitted.candidate.method
+    if method.own_steps:
+        best = fit_of_tolerance(pilot, fitted.candidate, required)
+        return best or replace(fitted, error=math.inf)
     # The reference has this rounding at most.
     limit = required * (1.0 - ROUNDING_SHARE / ROUNDING_MARGIN)
-    if fitted.candidate.method.own_steps:
-        return fitted  # its last trial used this tolerance
-    end = math.inf
+    too_few, failed, accepted, end = 0, False, None, math.inf
+    fitted = fitted.reduced(fitted.target(required))
     for _ in range(MAX_CORRECTIONS):
         exact_steps = fitted.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
         per_window = fitted.steps if pilot.covers_span else pilot.comparable_steps(exact_steps, finer=False)
         if per_window * fitted.candidate.cost(fitted.trial) > MAX_CONFIRMATION_COST:
-            return fitted
-        trial = pilot.trial(fitted.candidate.method, per_window)
-        if trial is None:
-            fitted = replace(fitted, steps=math.ceil(STEP_INCREASE * fitted.steps))
-            continue
-        rounding = max(pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0))
-        if may_be_rounding := trial.error <= ROUNDING_MULTIPLE * rounding:
-            end = trial.error * pilot.sensitivity.factor(pilot.windows)
-            if end <= limit:
-                return fitted
+            return accepted or fitted
+        trial, change, goal = pilot.trial(method, per_window), STEP_INCREASE, fitted.target(required)
+        if trial is not None:
+            rounding = max(pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0))
+            # An error that may be rounding is measured too, since large steps amplify rounding beyond its estimate.
+            if may_be_rounding := trial.error <= ROUNDING_MULTIPLE * rounding:
+                end = trial.error * pilot.sensitivity.factor(pilot.windows)
+                if end <= limit:
+                    return replace(fitted, error=min(fitted.error, goal))
+            else:
+                end = trial.error * (per_window / exact_steps) ** method.order * fitted.candidate.growth(pilot, trial)
+            fitted = replace(fitted, error=end, trial=trial)
+            change = (end / goal) ** (1.0 / method.order)
+        if trial is not None and end <= ACCEPTED_RATIO * goal:
+            if accepted is not None and accepted.cost <= fitted.cost:
+                return accepted  # fewer steps of more iterations
+            accepted = fitted
         else:
-            end = trial.error * (per_window / exact_steps) ** order * fitted.candidate.growth(pilot, trial)
-        fitted = replace(fitted, error=end, trial=trial)
-        if end <= bound:
-            return fitted
-        more: float = (end / goal) ** (1.0 / order)
-        least = STEP_INCREASE if may_be_rounding else 1.02
-        fitted = replace(fitted, steps=math.ceil(fitted.steps * min(max(more, least), 4.0)), error=goal)
-    return replace(fitted, error=max(end * required / limit, math.nextafter(required, math.inf)))
+            too_few = fitted.steps
+            change = min(max(change, STEP_INCREASE if trial is None or may_be_rounding else 1.0 + MIN_CHANGE), 4.0)
+        steps = math.ceil(change * fitted.steps)
+        failed |= trial is None
+        if accepted is not None:
+            # Between a number of steps that is too small and one that serves, away from the limit of stability.
+            if failed:
+                return accepted
+            steps = max(steps, math.ceil(math.sqrt(too_few * accepted.steps)))
+            if steps >= (1.0 - MIN_CHANGE) * accepted.steps:
+                return accepted
+        fitted = replace(fitted, steps=steps)
+    return accepted or replace(fitted, error=max(end * required / limit, math.nextafter(required, math.inf)))
 
 
-def first_tolerance_trial(pilot: Pilot, candidate: Candidate, goal: float) -> StepFit | None:
-    """Return the fit by one trial of a scheme with variable steps; None if it fails."""
-    return _tolerance_trial(pilot, candidate, _first_tolerance(pilot, goal))
+def fit_of_own_steps(pilot: Pilot, candidate: Candidate, required: float) -> StepFit | None:
+    """Estimate the cost of variable steps for an accuracy by one trial; None if none succeeds."""
+    goal = target_error(pilot, required)
+    tolerance = _first_tolerance(pilot, goal)
+    for _ in range(MAX_TOLERANCE_TRIALS):
+        found = _tolerance_trial(pilot, candidate, tolerance)
+        if found is not None and found.trial.error < LARGE_ERROR:
+            change = (max(found.error, MIN_GOAL) / goal) ** (1.0 / found.candidate.method.order)
+            return replace(found, steps=max(1, math.ceil(found.steps * change))) if change < math.inf else None
+        tolerance *= 0.1
+    return None
 
 
-def extrapolated_fit(fitted: StepFit, goal: float) -> StepFit:
-    """Extrapolate a fit to another error at the end, by the order."""
-    if not 0.0 < fitted.error < math.inf:
-        return fitted
-    change = (fitted.error / goal) ** (1.0 / fitted.candidate.method.order)
-    return replace(fitted, steps=max(1, math.ceil(fitted.steps * change)))
-
-
-def fit_of_tolerance(
-    pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: StepFit | None = None
-) -> StepFit | None:
-    """Fit the tolerance of variable steps to an error `goal` at the end; None if none is below the cost `limit`."""
-    # The error is roughly proportional to the tolerance, so few trials suffice.
-    tolerance, best = _first_tolerance(pilot, goal), None
-    for count in range(MAX_TOLERANCE_TRIALS):
-        fitted = first if first is not None and count == 0 else _tolerance_trial(pilot, candidate, tolerance)
-        if fitted is None:
-            next_tolerance = tolerance / MAX_TOLERANCE_RATIO
-        elif not fitted.trial.error < LARGE_ERROR:
-            next_tolerance = tolerance * INITIAL_TOLERANCE_RATIO
-        else:
-            end = fitted.error
-            if not end < math.inf:
-                break
-            if end <= goal and (best is None or fitted.cost < best.cost):
+def fit_of_tolerance(pilot: Pilot, candidate: Candidate, required: float) -> StepFit | None:
+    """Fit the tolerance of variable steps to an accuracy at the end; None if none serves."""
+    # The error is roughly proportional to the tolerance, but not if the order of the scheme changes with it.
+    tolerance, best = _first_tolerance(pilot, target_error(pilot, required)), None
+    finest, coarsest = 0.0, math.inf  # the largest tolerance that serves, and the smallest that does not
+    for _ in range(MAX_TOLERANCE_TRIALS):
+        fitted, ratio = _tolerance_trial(pilot, candidate, tolerance), 0.1
+        if fitted is not None and fitted.trial.error < LARGE_ERROR and fitted.error < math.inf:
+            goal = fitted.target(required)
+            served = fitted.error <= ACCEPTED_RATIO * goal
+            if served and (best is None or fitted.cost < best.cost):
                 best = fitted
-            if goal / GOAL_RATIO <= end <= goal or extrapolated_fit(fitted, goal).cost > ABANDON_COST_RATIO * limit:
+            if served and fitted.error >= goal / GOAL_RATIO:
                 break
-            # Aim at the geometric mean of the accepted range.
-            ratio = goal / (math.sqrt(GOAL_RATIO) * end) if end > 0.0 else MAX_TOLERANCE_RATIO
-            next_tolerance = tolerance * min(max(ratio, 1.0 / MAX_TOLERANCE_RATIO), MAX_TOLERANCE_RATIO)
-        if candidate.reaching(next_tolerance).method == candidate.reaching(tolerance).method:
+            ratio = goal / max(fitted.error, MIN_GOAL)
+            finest, coarsest = (tolerance, coarsest) if served else (finest, tolerance)
+        adjusted = tolerance * min(max(ratio, 1.0 / MAX_TOLERANCE_RATIO), MAX_TOLERANCE_RATIO)
+        if not finest < adjusted < coarsest:
+            adjusted = math.sqrt(finest * coarsest)
+        if candidate.reaching(adjusted).method == candidate.reaching(tolerance).method:
             break
-        tolerance = next_tolerance
+        tolerance = adjusted
     return best
 
 
 def _first_tolerance(pilot: Pilot, goal: float) -> float:
     """Guess a tolerance: errors of steps grow between not at all and like changes of the initial state."""
-    return goal * INITIAL_TOLERANCE_RATIO / math.sqrt(max(1.0, pilot.sensitivity.whole))
+    return INITIAL_TOLERANCE_RATIO * goal / math.sqrt(max(1.0, pilot.sensitivity.whole))
 
 
 def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> StepFit | None:

@@ -55,6 +55,10 @@ WINDOW_STEPS = 240
 STEP_LENGTH_TOLERANCE = 1.07
 # Spans of at most this many windows are run as a whole.
 MAX_WHOLE_WINDOWS = 2.5
+# A trial over the whole span has its error at the end in the last of so many parts.
+LAST_PART = 8
+# Share of the accuracy for truncation errors at the end where they are extrapolated beyond the window.
+EXTRAPOLATED_SHARE = 0.5
 # Relative change of the initial state whose growth is measured.
 PERTURBATION = 2.0**-30
 MAX_PERTURBATION_GROWTH = 0.1  # relative change of the state beyond which the growth is not that of small changes
@@ -84,10 +88,12 @@ class PilotErrors(NamedTuple):
     whole: float
 
     @classmethod
-    def of_run(cls, errors: NDArray[np.float64]) -> PilotErrors:
-        """Return those of errors at evenly spaced points of a window, without its start."""
+    def of_run(cls, errors: NDArray[np.float64], last: int = 2) -> PilotErrors:
+        """Return those of errors at evenly spaced points of a window, without its start; of the whole, the last part of
+        so many equal ones.
+        """
         count = len(errors)
-        parts = (errors[count * k // 8 : count * k // 4] for k in (1, 2, 4))
+        parts = errors[count // 8 : count // 4], errors[count // 4 : count // 2], errors[count - -(-count // last) :]
         return cls(*(float(np.max(part, initial=0.0)) for part in parts))
 
     def factor(self, windows: float, min_power: float = 1.0) -> float:
@@ -127,9 +133,16 @@ class Pilot:
     """A window from the start of a run, its reference, and the growth of small changes of the initial state in it."""
 
     # `momenta` (members, n) are those of the sampled members; rounding far below `accuracy` is not measured again.
+    # `share` is that of the accuracy which truncation errors of these members may take.
 
     def __init__(
-        self, system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
+        self,
+        system: System | Batch,
+        momenta: NDArray[np.float64],
+        t0: float,
+        span: float,
+        accuracy: float = 0.0,
+        share: float = 1.0,
     ) -> None:
         self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
         # Errors are relative to the sizes of groups of coordinates, whose units are independent.
@@ -141,6 +154,7 @@ class Pilot:
             abs(span) if abs(span) <= MAX_WHOLE_WINDOWS * steps * self.natural_step else steps * self.natural_step
         )
         self.windows = abs(span) / self.window
+        self.share = share if self.covers_span else EXTRAPOLATED_SHARE * share
         self.points = POINTS if steps >= POINTS else min_steps
         coarse, self.reference, self.reference_steps = self._converged_reference()
         self.size = self.groups.sizes(self.reference)
@@ -194,7 +208,9 @@ class Pilot:
         count = len(states) - 1
         reference = self.reference if motion is None else motion
         differences = self.groups.ratios(states - reference[:: self.points // count], self.size)
-        return PilotErrors.of_run(np.max(differences, axis=1)[1:])
+        # If nothing is extrapolated, errors at the end count.
+        last = LAST_PART if self.covers_span and motion is None else 2
+        return PilotErrors.of_run(np.max(differences, axis=1)[1:], last)
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""

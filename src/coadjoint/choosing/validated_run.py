@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.choosing.accuracy import Choice, choose
+from coadjoint.choosing.accuracy import Choice, choose, chosen
 from coadjoint.choosing.candidates import sample_of
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
@@ -75,8 +75,8 @@ class SampledRun(PreparedRun):
         attitude = read_attitude(attitude, system)
         # Runs may have another number of members than the sample, so stacked initial group elements are not passed on.
         self._attitude_option = True if np.ndim(attitude) == 3 else attitude
-        self.choice: Choice = choose(
-            cast(Any, system), states, (t0, t1), accuracy, attitude=self._attitude_option, methods=method
+        self.choice: Choice = chosen(
+            system, states, (t0, t1), accuracy, self._attitude_option, method, share=1.0 / ALLOWED_RATIO
         )
         step = self.choice.step
         super().__init__(

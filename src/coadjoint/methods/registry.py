@@ -249,15 +249,15 @@ def reference_scheme(order: int) -> Method:
 
 @cache
 def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
-    """Return the schemes from which `choose` selects; the first has own steps, the next two predict costs of others."""
+    """Return the schemes from which `choose` selects, family after family."""
     from coadjoint.methods.taylor import Taylor
 
     return (
         Taylor(tolerance=ANY_TOLERANCE),
-        *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
-        *(reference_scheme(2 * s) for s in (8, 6, 12, 10, 4, 3, 2)),
-        *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
-        *(Splitting(scheme=f"blanes_casas_murua{p}") for p in (10, 8, 6) if processed),
+        *(Taylor(p) for p in (6, 8, 10, 12, 14, 16, 20, 24)),
+        *(reference_scheme(2 * s) for s in (2, 3, 4, 6, 8, 10, 12)),
+        *(Splitting(order=p) for p in (2, 4, 6, 8, 10)),
+        *(Splitting(scheme=f"blanes_casas_murua{p}") for p in (6, 8, 10) if processed),
     )
 
 

@@ -41,7 +41,6 @@ class Wrapper(Method):
     compensates = of("base.compensates")
     failures = of("base.failures")
     largest = of("base.largest")
-    _counted = of("base._counted")
     split_jointly = of("base.split_jointly")
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:

@@ -27,6 +27,7 @@ FLOW_COST = 0.27
 MULTIPLICATION_COST = 0.052
 FUNCTION_COST = 0.47
 CALL_COST = 11.0  # of a function in the Hamiltonian, also in fields
+PYTHON_COST = 1000.0  # of an evaluation of the field in Python, with what a step does beside it
 # Vectors of eight numbers, in fields and series:
 VECTOR_COST = 0.042
 ITERATION_COST = 0.75

@@ -65,9 +65,6 @@ class Method(Abstract):
     compensates: ClassVar[bool] = True
     """Whether the momentum is updated by compensated sums."""
 
-    _counted: ClassVar[bool] = True
-    """Whether `work` counts the operations of a step; otherwise it is only an estimate, and `choose` times steps."""
-
     def __str__(self) -> str:
         """Return the scheme with its non-default parameters, and its order or stages."""
         if not is_dataclass(self):

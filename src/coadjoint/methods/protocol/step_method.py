@@ -15,6 +15,7 @@ from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables, step_tables
 from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import (
+    PYTHON_COST,
     Operations,
     Work,
     work_of_evaluations,
@@ -76,10 +77,6 @@ class StepMethod(SubstepMethod):
     compiles: ClassVar[bool] = True
     """Whether to compile the step by Numba; if not, each step is a Python call, without a warning."""
 
-    @property
-    def _counted(self) -> bool:  # type: ignore[override]
-        return _defines_work(self, StepMethod)
-
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 
@@ -97,7 +94,11 @@ class StepMethod(SubstepMethod):
         return loop_over(STEP_LOOP, tables, keepalive=(*tables.keepalive, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the estimated work of a step: as many evaluations of the field as its order."""
+        """Return the estimated work of a step: as many evaluations of the field as its order, in Python if it is not
+        compiled.
+        """
+        if not self.compiles:
+            return Work(lambda iterations, evaluations: substeps * self.order * PYTHON_COST)
         return work_of_evaluations(system, self.order, self.explicit, substeps)
 
 
@@ -180,12 +181,6 @@ class CompiledStepMethod(SubstepMethod):
         """
         return None
 
-    @property
-    def _counted(self) -> bool:  # type: ignore[override]
-        of_library = isinstance(self.compiled_step, str)
-        own_operations = type(self).operations is not CompiledStepMethod.operations
-        return of_library or own_operations or _defines_work(self, CompiledStepMethod)
-
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
@@ -194,9 +189,3 @@ class CompiledStepMethod(SubstepMethod):
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         operations = self.operations(system)
         return work_of_iterations(system, group) if operations is None else work_of_operations(operations, substeps)
-
-
-def _defines_work(method: SubstepMethod, family: Any) -> bool:
-    """Return whether a scheme of the user defines its work instead of that of its family."""
-    kind = type(method)
-    return kind.work is not SubstepMethod.work or kind.work_of_substeps is not family.work_of_substeps
