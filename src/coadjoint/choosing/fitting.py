@@ -43,7 +43,7 @@ UNIT_TRIAL = Trial(1, PilotErrors(0.0, 0.0, 0.0), 1.0, 1.0)
 # Of the tolerance of a scheme with variable steps, most fits take two runs.
 MAX_TOLERANCE_TRIALS = 6
 # Accepted ratio of the target error of variable steps to the error.
-GOAL_RATIO = 2.0
+GOAL_RATIO = 1.5
 # Largest factor between the tolerances of consecutive trials.
 MAX_TOLERANCE_RATIO = 1e6
 # Initial ratio of the tolerance to the target error, since errors of steps add up.
