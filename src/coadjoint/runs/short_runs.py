@@ -33,6 +33,8 @@ ENDS_ONLY = 2**53
 """A `save_every` that saves only the start and the end."""
 MAX_CACHED_NUMBERS = 2**16
 """Largest number of entries cached between calls; for larger runs allocation is negligible."""
+NO_SPAN = object()
+"""In place of the last span, which no argument is."""
 
 
 class FinalStateRun:
@@ -49,7 +51,7 @@ class FinalStateRun:
         self._prepared, self._max_evaluations = prepared, prepared.most_evaluations
         self._shape = (vector_size(prepared.system),)
         self._is_bounded = self._max_evaluations < math.inf
-        self._span: Any = None
+        self._span: Any = NO_SPAN
         self._h: float | None = None
         self._whole_run: Callable[[], int] | None = None
         self._advance: Callable[[], int] | None = None
@@ -85,7 +87,7 @@ class FinalStateRun:
         return self._end.copy()
 
     def _prepare_span(self, t_span: Any) -> None:
-        self._span = self._advance = None
+        self._span, self._advance = NO_SPAN, None
         times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
         check_steps(self._prepared.system, times.t0, times.h)
         if times.h != self._h:

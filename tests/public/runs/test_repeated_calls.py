@@ -1,4 +1,4 @@
-"""Calls of one prepared run, whatever came before, equal those of a fresh one: bits, errors and messages."""
+"""Calls of one prepared run, whatever came before, equal those of a fresh one, `end` too: bits, errors, messages."""
 
 import dataclasses
 import itertools
@@ -112,12 +112,20 @@ CASES = {
 
 
 def outcome(prepared, x0, span, every, given):
-    """Return everything that a call shows: bits of the arrays, or the error."""
+    """Return everything that a call shows: bits of the arrays, or the error; `end` has its last state, or its error."""
+    alone = every is SAVED[0] and not given
     try:
-        return shown(prepared.run(x0, span, every, **given))
+        sol = prepared.run(x0, span, every, **given)
     except Exception as error:
+        if alone:
+            with pytest.raises(type(error)) as ended:
+                prepared.end(x0, span, **given)
+            assert str(ended.value) == str(error)
         partial = getattr(error, "partial", None)
         return type(error), str(error), None if partial is None else shown(partial)
+    if alone:
+        assert prepared.end(x0, span, **given).tobytes() == sol.x[-1].tobytes()
+    return shown(sol)
 
 
 def shown(sol):
