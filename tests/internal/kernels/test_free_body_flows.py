@@ -8,7 +8,6 @@ import pytest
 import coadjoint as co
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from group_elements import random_element
-from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
 SO3 = co.algebras.so(3)
@@ -94,14 +93,6 @@ def test_the_attitude_of_a_spinor_keeps_its_sign(seed):
     coarse = co.integrate(spin, x0, (0.0, 8.0), 0.5, free_body(), attitude=True)
     assert np.abs(fine.attitude - coarse.attitude).max() <= 2.0**10 * U * np.linalg.norm(x0)
     assert any(np.trace(g) < 0 for g in coarse.attitude)
-
-
-def test_a_body_that_turns_too_far_in_a_step_is_an_error():
-    run = co.prepare(body([1.0, 0.5, 0.25]), free_body(), 1e11)
-    with refused(co.IntegrationError, "2^30 periods", "smaller step"):
-        run.run((1.0, 2.0, 0.5), (0.0, 1e11))
-    with refused(ValueError, "smaller step"):
-        free_body().step(body([1.0, 0.5, 0.25]), np.array([1.0, 2.0, 0.5]), 0.0, 1e9)
 
 
 @pytest.mark.parametrize("scale", [2.0**-600, 2.0**400])

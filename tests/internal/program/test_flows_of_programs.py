@@ -1,8 +1,6 @@
-"""The program: which rows a scheme becomes, its reading in any number type, and steps against dense matrices."""
+"""Steps of programs in many digits, and against dense matrices."""
 
 import dataclasses
-import math
-from fractions import Fraction
 
 import mpmath
 import numpy as np
@@ -11,124 +9,14 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.numbers import array_of, convert, roundoff
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.second_order import part_derivatives
 from coadjoint.program.table import build_program
 from drawn_matrices import constants_of
-from refusals import refused
-
-
-def sections(program):
-    rows = program.rows
-    ends = rows.section
-    all_rows = list(zip(rows.part.tolist(), rows.coefficient.tolist(), rows.moment.tolist(), strict=True))
-    return [all_rows[ends[k] : ends[k + 1]] for k in range(3)]
 
 
 def top(sign=+1):
     return co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0]), sign=sign)
-
-
-DRIVEN = (lambda y, t: 0.5 * y * y * (2.0 + math.sin(t)), lambda y, t: y * (2.0 + math.sin(t)))
-STEADY = (lambda y: 0.25 * y * y, lambda y: 0.5 * y)
-
-
-def driven():
-    return co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: DRIVEN, 1: STEADY, 2: STEADY}))
-
-
-def test_second_order_merges_the_outer_halves_of_consecutive_steps():
-    start, step, finish = sections(build_program(top(), co.Splitting(order=2)))
-    assert [row[:2] for row in start] == [(0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5)]
-    assert [row[:2] for row in step] == [(0, 1.0), (1, 0.5), (2, 1.0), (1, 0.5)]
-    assert [row[:2] for row in finish] == [(0, 0.5)]
-
-
-@pytest.mark.parametrize("adjoint", [False, True])
-def test_first_order_is_one_sweep_at_one_time(adjoint):
-    """The time of its start; the adjoint takes that of its end."""
-    for system, timed in ((top(), False), (driven(), True)):
-        start, step, finish = sections(build_program(system, co.Splitting(order=1, adjoint=adjoint)))
-        parts = [row[0] for row in start]
-        assert start == step and finish == [] and parts == sorted(set(parts), reverse=adjoint)
-        assert not timed or {row[2] for row in start} == {float(adjoint)}
-
-
-def test_the_sign_is_in_the_coefficients():
-    plus, minus = (build_program(top(sign), co.Splitting(order=4)).rows.coefficient for sign in (1, -1))
-    assert np.array_equal(plus, -minus)
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=4), co.Splitting(scheme="yoshida4")])
-def test_each_part_moves_for_one_step_in_all(method):
-    """Fractions of the step add up to one, k u for k of them: over a step, and over start and finish together."""
-    program = method.program(top())
-    start, step, finish = sections(program)
-    for rows in (start + finish, step):
-        for part in range(3):
-            own = [coefficient for p, coefficient, _ in rows if p == part]
-            assert abs(sum(own) - 1.0) <= len(own) * 2.0**-53 * sum(map(abs, own))
-
-
-def test_flows_at_different_times_are_not_merged():
-    """Within one step the two halves of the first substep share its middle; the halves of consecutive steps do not."""
-    start, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts="coordinates")))
-    assert finish == [] and start == step
-    assert [(p, c, m) for p, c, m in step] == [
-        (0, 0.5, 0.5),
-        (1, 0.5, 0.5),
-        (2, 1.0, 0.5),
-        (1, 0.5, 0.5),
-        (0, 0.5, 0.5),
-    ]
-    start, step, _ = sections(build_program(driven(), co.Splitting(scheme="suzuki4", parts="coordinates")))
-    assert start == step
-    assert [p for p, _, _ in step].count(0) == 10  # timed: two in each of five substeps
-    assert [p for p, _, _ in step].count(2) == 5
-    _, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts=[[2], [1], [0]])))
-    assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]  # only timed parts are kept apart
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("timed", [(3,), (4,), (5,), (3, 5), (0, 4)])
-def test_a_part_is_timed_if_any_of_its_functions_is(timed):
-    """The functions of p1, p2, p3 are one part, wherever the one of time stands among them."""
-    kinds = {True: DRIVEN, False: STEADY}
-    system = co.LiePoissonSystem(co.algebras.e(3), co.Separable({k: kinds[k in timed] for k in (0, 3, 4, 5)}))
-    method = co.Splitting(order=2, parts=[[3, 4, 5], [0]])
-    program = build_program(system, method)
-    assert program.parts.timed.tolist() == [bool({3, 4, 5} & set(timed)), 0 in timed]
-    # The flows of the first part at the end of a step and at the start of the next one are at different times.
-    start, step, finish = sections(program)
-    assert (finish == [] and start == step) and [part for part, _, _ in step] == [0, 1, 0]
-    x0 = np.array([0.4, -0.3, 0.2, 0.9, 0.5, -0.7])
-    x = x0
-    for k in range(3):
-        x = Interpreter(program).steps(x, 0.25, 1, 0.7 + 0.25 * k)
-    whole = co.integrate(system, x0, (0.7, 1.45), 0.25, method).x[-1]
-    assert np.abs(Interpreter(program).steps(x0, 0.25, 3, 0.7) - x).max() <= 64 * 2.0**-53
-    assert np.abs(whole - x).max() <= 64 * 2.0**-53
-
-
-def test_a_tangent_needs_second_derivatives():
-    s = co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: (math.cosh, math.sinh), 2: (math.cosh, math.sinh)}))
-    read = Interpreter(build_program(s, co.Splitting()))
-    with pytest.raises(TypeError, match="hessian"):
-        read.steps(np.ones(3), 0.1, 1, tangent=np.eye(3))
-
-
-def test_number_types_without_elementary_functions_are_refused():
-    s = top()
-    with refused(TypeError, "Fraction"):
-        Interpreter(build_program(s, co.Splitting(), number=Fraction))
-
-
-def test_roundoff_is_half_the_gap_above_one():
-    assert roundoff(float) == 2.0**-53
-    assert roundoff(Fraction) == 0
-    with mpmath.workdps(40):
-        assert roundoff(mpmath.mpf) == mpmath.mpf(2) ** -mpmath.mp.prec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,23 +48,6 @@ def test_steps_in_more_digits_do_not_use_the_numbers_of_fewer(scheme):
         for each in scheme.sweeps(mpmath.mpf):
             x = step_of(sweep[each.forward], each.coefficient * mpmath.mpf(0.125))
         assert max(abs(end - x)) < 1e-38
-
-
-@pytest.mark.thinned(3)
-@pytest.mark.parametrize("value", [0.1, 3, Fraction(1, 3), np.float64(0.1), np.int64(7)])
-def test_values_reach_the_number_type_without_a_detour(value):
-    with mpmath.workdps(40):
-        exact = Fraction(value.item() if isinstance(value, np.generic) else value)
-        got = convert(mpmath.mpf, value)
-        assert abs(got - mpmath.mpf(exact.numerator) / exact.denominator) <= abs(got) * roundoff(mpmath.mpf)
-        assert convert(mpmath.mpf, "0.1") != mpmath.mpf(0.1)
-    assert convert(float, value) == float(exact)
-
-
-def test_arrays_are_float64_or_objects():
-    assert array_of(float, [Fraction(1, 4), 2]).dtype == np.float64
-    exact = array_of(Fraction, np.array([0.5, 2.0]))
-    assert exact.dtype == object and list(exact) == [Fraction(1, 2), Fraction(2)]
 
 
 U = 2.0**-53

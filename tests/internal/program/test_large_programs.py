@@ -1,21 +1,15 @@
-"""Large systems: the tables are those of a plain construction, and their cost grows with what is not zero."""
+"""Large systems: tables and their cost grow with what is not zero, and products of brackets are counted beforehand."""
 
 import sys
 import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.sparse import block_diag, diags_array, random_array
+from scipy.sparse import diags_array
 
 import coadjoint as co
-from coadjoint.algebra.exact import sparse_sums
-from coadjoint.program import actions, block_table
-from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.parts.casimir_shifts import candidate_shifts, quadratic_casimirs
-from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.modified_series import estimated_products
 from coadjoint.program.parts.split import split
-from coadjoint.program.parts.squares import complete_squares, sparse_squares
-from coadjoint.program.sparse_rows import SparseRows, layers
 from coadjoint.program.table import build_program
 
 SO3 = co.algebras.so(3)
@@ -30,56 +24,11 @@ def spins(count, **options):
     return co.LiePoissonSystem(co.algebras.copies(SO3, count), chain(count, **options))
 
 
-def twisted(count):
-    """Couplings of x with the y of the neighbour, which makes one connected set of noncommuting coordinates."""
-    M = diags_array([np.zeros(3 * count), np.tile([0.3, 0, 0], count)[: 3 * count - 4]], offsets=[0, 4]).tocsr()
-    return co.LiePoissonSystem(co.algebras.copies(SO3, count), co.Quadratic(M + M.T, linear=np.ones(3 * count)))
-
-
 def nilpotent(n, seed=0):
     random, half = np.random.default_rng(seed), n // 2
     first, second = np.sort(random.integers(0, half, (2 * n, 2)), axis=1).T
     rows = np.unique(np.stack([first, second, random.integers(half, n, 2 * n)], axis=1)[first < second], axis=0)
     return co.LieAlgebra(np.column_stack([rows, random.standard_normal(len(rows))]), dim=n)
-
-
-def test_layers_are_longest_paths():
-    random = np.random.default_rng(2)
-    edges = np.sort(random.integers(0, 50, (120, 2)), axis=1)
-    edges = edges[edges[:, 0] < edges[:, 1]]
-    longest = [0] * 50
-    for a, b in sorted(edges.tolist(), key=lambda edge: edge[1]):
-        longest[b] = max(longest[b], longest[a] + 1)
-    assert layers(50, *edges.T).tolist() == longest
-
-
-def sparse(matrix):
-    rows = [np.flatnonzero(row) for row in matrix]
-    values = [row[own].tolist() for row, own in zip(matrix, rows, strict=True)]
-    return SparseRows.of_lists([own.tolist() for own in rows], values)
-
-
-@pytest.mark.parametrize("hollow", [False, True])
-def test_sparse_squares_are_bit_for_bit_the_dense_ones(hollow):
-    random = np.random.default_rng(5)
-    A = random_array((40, 40), density=0.04, rng=random).toarray()
-    matrix = A + A.T + (0.0 if hollow else 1.0) * np.diag(random.uniform(-1.0, 1.0, 40))
-    for given in (matrix, chain(20).hessian(np.zeros(60)), twisted(10).hamiltonian.hessian(np.zeros(30))):
-        linear = np.where(random.uniform(size=len(given)) < 0.5, 1.0, 0.0)
-        found, expected = sparse_squares(sparse(given), linear), complete_squares(given, linear)
-        forms = np.zeros_like(expected.forms)
-        forms[found.forms.owner, found.forms.coordinate] = found.forms.value
-        assert np.count_nonzero(given) < 16 * len(given)  # else both were dense
-        assert np.array_equal(forms, expected.forms)
-        assert np.array_equal(found.weights, expected.weights) and np.array_equal(found.linear, expected.linear)
-
-
-@pytest.mark.parametrize("M", [(1.0, 1.0, 2.0), (1.0, 1.0, 1.0), (3.0, 2.0, 1.0)])
-@pytest.mark.parametrize("copies", [1, 2, 5])
-def test_a_shift_is_tried_once(M, copies):
-    system = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), copies), co.Quadratic(np.tile(M, copies)))
-    shifts = list(candidate_shifts(system, split(system), quadratic_casimirs(system)))
-    assert shifts and len(set(shifts)) == len(shifts)
 
 
 def calls(make):
@@ -140,63 +89,59 @@ def test_tables_are_lean():
     assert sum(column.nbytes for column in whole) <= (2 * 4 + 8 + 4 + 8 + 4 + 3 * (4 + 8)) * n + 1000
 
 
-LEAST = block_table.MIN_REPEATED
-CELLS = {
+ALGEBRAS = {
     "so(3)": co.algebras.so(3),
     "sl(2)": co.algebras.sl(2),
+    "A3,7": co.algebras.A3_7(1.5),
+    "Heisenberg": co.algebras.heisenberg(2),
     "e(3)": co.algebras.e(3),
-    "su(3)": co.algebras.su(3),
-    "affine": co.LieAlgebra([(0, 1, 1, 1.5)], dim=2),
-    "nilpotent": co.LieAlgebra([(0, 1, 2, 1.0), (0, 2, 3, -2.0)], dim=4),
-    "so(3) and so(4)": co.algebras.direct_sum(co.algebras.so(3), co.algebras.so(4)),
+    "so(4)": co.algebras.so(4),
+    "sl(3)": co.algebras.sl(3),
 }
 
 
-def diagonal_system(cell, copies, changed=None):
-    """Copies of an algebra; the middle one with another constant, or of another algebra, so(3) becoming solvable."""
-    algebra = co.algebras.copies(cell, copies)
-    if changed:
-        rows, middle = np.stack(algebra.triples, axis=1), cell.dim * (copies // 2)
-        here = (rows[:, 0] >= middle) & (rows[:, 0] < middle + cell.dim)
-        other = [(middle, middle + 1, middle + 1, 1.0), (middle, middle + 2, middle + 2, -1.0)]
-        own = rows[here] * [1, 1, 1, 1.25] if changed == "constant" else other
-        algebra = co.LieAlgebra(np.concatenate([rows[~here], own]), dim=algebra.dim)
-    diagonal = np.random.default_rng(1).uniform(0.5, 2.0, algebra.dim)
-    return co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
+def drawn(algebra, density, driven, seed):
+    rng, n = np.random.default_rng(seed), algebra.dim
+    M = rng.normal(size=(n, n)) * (rng.random((n, n)) < density)
+    linear = rng.normal(size=n) if driven else np.zeros(n)
+    return co.LiePoissonSystem(algebra, co.Quadratic(M + M.T + np.diag(rng.normal(size=n)), linear=linear))
 
 
-def repeated_blocks_of(system, choice):
-    parts, matrices = decompose(system, choice).parts, BasisMatrices.coadjoint(system.algebra)
-    return parts, matrices, block_table.repeated_block_table(matrices, parts.forms)
+def slopes(monomials, i):
+    """Count the monomials of the derivative by x_i; each is the sorted tuple of its factors."""
+    return len({(*e[: e.index(i)], *e[e.index(i) + 1 :]) for e in monomials if i in e})
 
 
-@pytest.mark.parametrize(
-    ("name", "choice", "changed", "chunk"),
-    [
-        *((name, choice, None, None) for name in CELLS for choice in ("coordinates", "auto")),
-        ("so(3)", "coordinates", "constant", None),
-        ("so(3)", "coordinates", "target", None),
-        ("su(3)", "coordinates", None, 8),
-    ],
-)
-def test_shapes_of_copies_give_the_blocks_of_all_elements(name, choice, changed, chunk, monkeypatch):
-    if chunk:
-        monkeypatch.setattr(sparse_sums, "CHUNK", chunk)
-    system = diagonal_system(CELLS[name], LEAST // CELLS[name].dim + 2, changed)
-    parts, matrices, used = repeated_blocks_of(system, choice)
-    by_shape = actions.build_action(matrices, parts)
-    monkeypatch.setattr(actions, "repeated_block_table", lambda *_: None)
-    of_all = actions.build_action(matrices, parts)
-    assert used is not None
-    for column, other in zip(by_shape, of_all, strict=True):
-        np.testing.assert_array_equal(column, other)
+def enumerated(algebra, parts):
+    """Count the products in the brackets of each angle with the energy of the later parts.
+
+    No monomials cancel, as for random coefficients. Linear terms of the energy are left out.
+    """
+    total, energy = 0, set()
+    structure = {(a, j, k) for i, b, k, _ in zip(*algebra.triples, strict=True) for a, j in ((i, b), (b, i))}
+    for p in reversed(range(len(parts))):
+        own = set()
+        for angle in np.flatnonzero(parts.part_of_angle == p):
+            form, weights = (
+                rows.coordinate[rows.start[angle] : rows.start[angle + 1]].tolist()
+                for rows in (parts.forms, parts.weights)
+            )
+            own |= {tuple(sorted((a, b))) for a in form for b in weights}
+            for i in range(algebra.dim):
+                turned = {k for a, j, k in structure if a == i and j in form}
+                quadratic = {tuple(sorted((k, b))) for k in turned for b in weights}
+                total += (len(quadratic) + (parts.offset[angle] != 0) * len(turned)) * slopes(energy, i)
+        energy |= own
+    return total
 
 
-def test_forms_or_hashes_that_do_not_serve_are_taken_one_by_one(monkeypatch):
-    tensor = np.array([[2.0, 0.3, 0.1], [0.3, 1.5, 0.2], [0.1, 0.2, 1.0]])
-    bodies = co.LiePoissonSystem(
-        co.algebras.copies(SO3, LEAST), co.Quadratic(block_diag([tensor] * LEAST).tocsr()), casimirs={}
-    )
-    assert repeated_blocks_of(bodies, "auto")[-1] is None  # the forms are no basis elements
-    monkeypatch.setattr(block_table, "HASH_FACTOR", np.uint64(0))  # different shapes have equal hashes
-    assert repeated_blocks_of(diagonal_system(CELLS["e(3)"], LEAST), "coordinates")[-1] is None
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+@pytest.mark.parametrize("driven", [False, True])
+@pytest.mark.parametrize("density", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_products_of_the_lowest_brackets_are_counted_exactly(name, density, driven, choice):
+    """A product x_k x_l of the two factors of a field is one monomial, in whichever factor x_k is."""
+    system = drawn(ALGEBRAS[name], density, driven, len(name))
+    parts = split(system, choice)
+    assert estimated_products(system.algebra, parts, 2) == enumerated(system.algebra, parts)

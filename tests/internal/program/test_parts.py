@@ -11,13 +11,9 @@ from scipy.sparse import coo_array
 import coadjoint as co
 from catalogue_cases import EXAMPLES
 from coadjoint.algebra.catalogue import entries
-from coadjoint.program.commutation import coupled_pairs, first_fit
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.split import _colors, split
-from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from drawn_matrices import whole_matrix
 from guards import bounded_work
@@ -172,48 +168,6 @@ def test_any_lattice_of_spins_has_three_parts(count):
     assert len(program.state.kind) == 3  # one run for each part, however many spins
 
 
-@pytest.mark.parametrize(
-    ("name", "count", "coordinates"),
-    [
-        ("e(3) diagonal", 3, 6),
-        ("e(3) couplings inside commuting sets", 4, 6),
-        ("A3,7 diagonal", 2, None),
-        ("so(3) permuted", 3, None),
-        ("3 spins", 3, None),
-        ("3 spins full", None, 9),
-        ("Heisenberg singular", 1, None),
-        ("so(3) zero diagonal", 3, None),
-        ("separable on sl(2)", 2, 2),
-    ],
-)
-def test_number_of_parts(name, count, coordinates):
-    assert count is None or len(split(system(name))) == count
-    assert coordinates is None or len(split(system(name), "coordinates")) == coordinates
-
-
-def test_only_parts_with_a_function_of_time_are_timed():
-    assert split(system("separable on sl(2)"), "coordinates").timed.tolist() == [False, True]
-
-
-def test_explicit_parts_are_used_in_their_order():
-    s = system("e(3) diagonal")
-    parts = split(s, [[5, 4, 3], [2], [1], [0]])
-    assert [sorted(i for (i,), _ in part) for part in parts] == [[3, 4, 5], [2], [1], [0]]
-    program = build_program(s, co.Splitting(parts=[[5, 4, 3], [2], [1], [0]]))
-    first = program.parts[int(program.rows.part[0])]
-    assert {i for form, _ in first for i in form} == {3, 4, 5}
-    unused = co.LiePoissonSystem(E3, co.Quadratic([1.0, 2.0, 0, 0, 0, 3.0]))
-    assert len(split(unused, [[0, 3], [1], [4, 5], [2]])) == 3
-
-
-def test_a_piece_is_kept_whole():
-    """Its flow is exact as it stands, also where the choice is one coordinate each."""
-    for choice in ("auto", "coordinates"):
-        parts = split(system("pieces on e(3)"), choice)
-        homes = [{i for form, _ in part for i in form} for part in parts]
-        assert any({3, 4} <= home for home in homes) and any({1, 4} <= home for home in homes)
-
-
 # Numbers of sets of commuting coordinates; two elsewhere.
 THREE = """A3_8 A3_9 A4_7 A4_8 A4_9 A4_10 A4_11 A5_3 A5_6 A5_19 A5_20 A5_21 A5_23 A5_24 A5_25 A5_26 A5_28 A5_29 A5_30
 A5_31 A5_36 A5_37 A5_39 A5_40""".split()
@@ -274,27 +228,3 @@ def test_parts_commute_and_add_up_to_the_energy(name):
         entries = slice(parts.forms.start[first], parts.forms.start[last])
         forms[parts.forms.owner[entries] - first, parts.forms.coordinate[entries]] = parts.forms.value[entries]
         assert np.abs(forms @ structure @ forms.T).max() < 1e-12 * scale
-
-
-def test_small_systems_have_squares():
-    most = MAX_RATIONAL_SIZE // 3
-    few, many = (split(ring(copies, co.algebras.so(3), 6)) for copies in (most, most + 1))
-    per_angle = [np.diff(parts.forms.start) for parts in (few, many)]
-    assert per_angle[0].max() > 3 >= per_angle[1].max(), "only coordinates of one site are in one square"
-
-
-def test_colors_are_the_groups_of_first_fit():
-    """Products conflict if some coordinate of one does not commute with one of the other."""
-    rng = np.random.default_rng(7)
-    for cell in (co.algebras.so(3), co.algebras.e(3), co.algebras.sl(2)):
-        algebra = co.algebras.copies(cell, 20)
-        i, j = rng.integers(0, algebra.dim, (2, 150))
-        apart = i // cell.dim != j // cell.dim
-        i, j = i[apart], j[apart]
-        units = SparseRows.units(np.stack([i, j], axis=1).ravel())
-        count = 2 * len(i)
-        pairs = Parts.linear(units, np.zeros(count), SparseRows.empty(count), 2 * np.arange(len(i) + 1))
-        first, second = coupled_pairs(algebra, pairs)
-        distinct = first != second
-        expected = first_fit(len(i), first[distinct], second[distinct])
-        np.testing.assert_array_equal(_colors(i, j, algebra), expected)
