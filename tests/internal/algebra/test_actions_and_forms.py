@@ -14,64 +14,6 @@ from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(1)
 
-ALGEBRAS = [
-    co.algebras.so(4),
-    co.algebras.e(3),
-    co.algebras.sl(2),
-    co.algebras.heisenberg(2),
-    co.algebras.A3_7(0.25),
-    co.LieAlgebra([], dim=2),
-]
-each_algebra = pytest.mark.parametrize("g", ALGEBRAS, ids=lambda g: g.name)
-
-
-@each_algebra
-@pytest.mark.parametrize("kind", [float, Fraction])
-def test_sparse_entries_are_the_nonzero_entries_of_the_matrix(g, kind):
-    drawn = np.random.default_rng(g.dim).integers(-3, 4, g.dim).tolist()
-    vector = np.array([kind(v) / 4 for v in drawn], dtype=float if kind is float else object)
-    matrix = g.coadjoint(vector)
-    rows, columns, values = g.coadjoint_entries(vector)
-    assert np.array_equal(np.argwhere(matrix != 0), np.stack([rows, columns], axis=1))
-    assert np.array_equal(values, matrix[rows, columns])
-    chosen = {i: value for i, value in enumerate(vector) if value}
-    backward = {np.int64(i): vector[i] for i in reversed(range(g.dim))}  # with zeros, in descending order
-    outward = dict(sorted(chosen.items(), key=lambda entry: abs(2 * entry[0] - g.dim)))
-    for mapping in (chosen, backward, outward):
-        for one, other in zip(g.coadjoint_entries(mapping), (rows, columns, values), strict=True):
-            assert np.array_equal(one, other)
-
-
-@each_algebra
-@pytest.mark.parametrize("kind", [int, np.int8, np.float32, float, complex])
-def test_the_operator_acts_on_each_kind_of_numbers(g, kind):
-    rng = np.random.default_rng(7)
-    x, v = rng.integers(-9, 10, g.dim) / 4, np.repeat(rng.integers(-9, 10, g.dim), 2)[::2].astype(kind)
-    J, operator = g.structure_matrix(x), g.structure_operator(x)
-    assert np.array_equal(operator @ v, J @ v) and np.array_equal(operator.T @ v, -J @ v)
-    assert np.array_equal(operator.H @ v, -J @ v) and np.array_equal(operator.rmatvec(v), -J @ v)
-    assert np.array_equal(operator @ np.stack([v, 2 * v], axis=1), np.stack([J @ v, 2 * J @ v], axis=1))
-    assert (operator @ v).dtype == (J @ v).dtype and operator.shape == J.shape
-
-
-@each_algebra
-def test_commuting_and_neighbours(g):
-    indptr, indices = g.neighbours()
-    basis = np.eye(g.dim)
-    for i in range(g.dim):
-        expected = [j for j in range(g.dim) if g.bracket(basis[i], basis[j]).any()]
-        assert indices[indptr[i] : indptr[i + 1]].tolist() == expected
-        assert [j for j in range(g.dim) if not g.commuting(i, j)] == expected
-
-
-def test_constants_are_sorted_unique_nonzero_and_read_only():
-    g = co.LieAlgebra([(3, 1, 0, 2.0), (1, 2, 0, 0.0), (0, 2, 3, 0.0), (1, 3, 0, -2.0)], dim=4)
-    assert [column.tolist() for column in g.triples] == [[1], [3], [0], [-2.0]]
-    assert [column.dtype for column in g.triples] == [np.int64] * 3 + [np.float64]
-    for column in (*g.triples, *g.neighbours()):
-        with pytest.raises(ValueError, match="read-only"):
-            column[0] = 1
-
 
 def test_a_lattice_of_spins_is_sparse():
     lattice = co.algebras.copies(co.algebras.so(3), 10**5)
@@ -115,57 +57,6 @@ def residual(rho, form):
     return np.abs(np.einsum("iba,bc->iac", rho, form) + np.einsum("ab,ibc->iac", form, rho)).max()
 
 
-@pytest.mark.parametrize("n", [2, 3, 4, 6])
-def test_rotations_keep_the_identity(n):
-    assert np.array_equal(invariant_form(catalogue.so(n).representation), np.eye(n))
-
-
-@pytest.mark.parametrize("n", [3, 4, 5])
-def test_rotations_in_a_skewed_basis_keep_another_form(n):
-    rho = catalogue.so(n).representation
-    basis = np.eye(n) + np.triu(np.ones((n, n)), 1)
-    form = invariant_form(np.linalg.inv(basis) @ rho @ basis)
-    wanted = basis.T @ basis
-    assert np.abs(form / form[0, 0] - wanted / wanted[0, 0]).max() < 1e3 * U * np.linalg.cond(wanted)
-
-
-def test_sl2_keeps_the_area():
-    rho = catalogue.sl(2).representation
-    form = invariant_form(rho)
-    assert np.allclose(form, -form.T, atol=1e-14)
-    assert abs(np.linalg.det(form)) > 0.5
-    assert residual(rho, form) < 64 * U
-
-
-@pytest.mark.parametrize("g", [catalogue.e(3), catalogue.heisenberg(1), catalogue.A3_7(2.0)], ids=lambda g: g.name)
-def test_affine_representations_keep_no_form(g):
-    assert invariant_form(g.representation) is None
-
-
-@pytest.mark.parametrize("scale", [1e-150, 1.0, 1e150])
-def test_the_form_does_not_depend_on_units(scale):
-    rho = catalogue.sl(2).representation * np.array([1.0, scale, 1.0])[:, None, None]
-    assert np.allclose(invariant_form(rho), invariant_form(catalogue.sl(2).representation), atol=1e-12)
-
-
-def test_e3_keeps_a_form_in_the_coadjoint_representation():
-    """<(m, p), (m', p')> = m.p' + p.m': the Casimir m.p, nonsingular though |p|^2 is not."""
-    actions = coadjoint_matrices(catalogue.e(3))
-    form = invariant_form(actions)
-    assert residual(actions, form) < 1e-14
-    assert np.linalg.cond(form) < 1e3
-
-
-def test_intertwiner_of_so3_and_its_failure_elsewhere():
-    g = catalogue.so(3)
-    actions = coadjoint_matrices(g)
-    t = intertwiner(g.representation, actions)
-    assert np.linalg.matrix_rank(t) == 3
-    assert np.abs(t @ g.representation - actions @ t).max() < 1e-14
-    for h in (catalogue.so(4), catalogue.e(3), catalogue.sl(2)):
-        assert intertwiner(h.representation, coadjoint_matrices(h)) is None
-
-
 @pytest.mark.parametrize("g", [catalogue.so(4), catalogue.sl(2), catalogue.e(3)], ids=lambda g: g.name)
 def test_intertwiner_from_a_larger_representation(g):
     """The coadjoint action inside its sum with itself, in a skewed basis."""
@@ -180,11 +71,6 @@ def test_intertwiner_from_a_larger_representation(g):
     assert np.linalg.matrix_rank(t) == n
     assert np.abs(t @ rho - actions @ t).max() < 1e-10
     assert np.array_equal(t, intertwiner(rho, actions))
-
-
-def test_intertwiner_refuses_different_lengths():
-    with refused(ValueError, "(3, d, d)"):
-        intertwiner(catalogue.so(3).representation, coadjoint_matrices(catalogue.so(4)))
 
 
 def in_drawn_bases(g, seed):

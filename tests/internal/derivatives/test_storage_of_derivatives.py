@@ -1,11 +1,10 @@
-"""How derivatives store the run: stretches, checkpoints, blocks of exponentials, caches, and operations of JAX."""
+"""How derivatives store the run: segments and checkpoints; and how often JAX runs it."""
 
 import numpy as np
 import pytest
 
 import coadjoint as co
 from coadjoint.runs.derivatives import differentiable_run, stretches
-from coadjoint.runs.loops import shifted_attitude
 from rounding import UNIT_ROUNDOFF
 
 H, X6 = 0.125, np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
@@ -55,20 +54,6 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
     assert len(ready.vjp(x0, (0.0, 300.0))[1]._gradient.args[1].stretches) > 1024
 
 
-@pytest.mark.parametrize("count", [1, 9])
-def test_exponentials_in_blocks_are_those_one_by_one(monkeypatch, count):
-    """The unshifted element is the unit one; with many directions those of a basis are combined."""
-    ready = co.prepare(BODY, co.Splitting(), H, attitude=True)
-    x0, rng, found = np.array([0.3, 1.0, 0.2]), np.random.default_rng(1), []
-    directions = {"x0": rng.standard_normal((3, count)), "inertia": rng.standard_normal((3, count))}
-    for largest in (2, 3):
-        monkeypatch.setattr(shifted_attitude, "LARGEST_BLOCK", largest)
-        found.append(ready.jvp(x0, (0.0, 1.0), directions)[1].attitude)
-    each = [ready.jvp(x0, (0.0, 1.0), {name: v[:, k] for name, v in directions.items()})[1] for k in range(count)]
-    for other in (found[1], np.stack([one.attitude for one in each], axis=-1)):
-        np.testing.assert_allclose(found[0], other, rtol=0, atol=2**6 * UNIT_ROUNDOFF * np.abs(found[0]).max())
-
-
 @pytest.mark.parametrize("system", [BODY, BODY.with_forces(co.forces.LinearDamping(0.1))], ids=["alone", "forced"])
 def test_equations_of_derivatives_that_are_not_solved_raise_integration_errors(system, monkeypatch):
     """At the time of the stretch, or of the step with forces."""
@@ -82,17 +67,6 @@ def test_equations_of_derivatives_that_are_not_solved_raise_integration_errors(s
         with pytest.raises(co.IntegrationError, match=r"smaller step than 0\.125") as raised:
             call()
         assert raised.value.time == (1.25 if system is BODY else time)
-
-
-def test_gradients_of_heat_baths_need_no_matrices(monkeypatch):
-    """Neither the dense derivative of a flow nor a flow of a moved system is computed for a lattice with a bath."""
-    lattice = co.systems.spin_lattice("square", (4, 4), field=(0.0, 0.0, 0.3))
-    bath = lattice.with_forces(co.forces.HeatBath(0.1, temperature=0.2, seed=1))
-    for name in ("flow", "tangent"):
-        monkeypatch.setattr(co.forces.HeatBath, name, lambda *_: pytest.fail("a dense flow"))
-    sol, pull = co.prepare(bath, co.Splitting(), step=0.125).vjp(np.tile([0.6, 0.0, 0.8], 16), (0, 1), 8)
-    gradient = pull(np.ones_like(sol.x))
-    assert np.isfinite(gradient["HeatBath.temperature"]) and np.isfinite(gradient["field"]).all()
 
 
 @pytest.fixture
@@ -142,23 +116,6 @@ def test_transformations_of_jax_run_once(jax, monkeypatch):
     (found,) = run.gradients({"x0": x0, "inertia": inertia}, [weights[None]], ["inertia"])
     other = co.prepare(co.systems.rigid_body(inertia), co.Splitting(order=4), 0.05)
     assert np.array_equal(found[0], other.vjp(x0, (0, 10), 50)[1](weights)["inertia"])
-
-
-@pytest.mark.parametrize("most_dense", [0, 2**12])
-def test_sparse_products_are_those_of_the_matrix(jax, monkeypatch, most_dense):
-    """Rows of different lengths, an empty one and entries in any order."""
-    from coadjoint.jax import stage_steps
-
-    monkeypatch.setattr(stage_steps, "MOST_DENSE", most_dense)
-    rng = np.random.default_rng(3)
-    dense = rng.standard_normal((5, 7)) * (rng.random((5, 7)) < 0.5)
-    dense[2], dense[4, [0, 6]] = 0.0, (1.0, 2.0)
-    rows, columns = np.nonzero(dense)
-    order, x = rng.permutation(len(rows)), rng.standard_normal(7)
-    rows, columns = rows[order], columns[order]
-    matrix = stage_steps.sparse(rows, columns, jax.numpy.array(dense[rows, columns]), dense.shape)
-    assert (matrix.columns is None) == (most_dense > 0)
-    np.testing.assert_allclose(matrix.times(jax.numpy.array(x)), dense @ x, rtol=0, atol=16 * UNIT_ROUNDOFF)
 
 
 @pytest.mark.parametrize("count", [15, 97, 10007])

@@ -10,7 +10,6 @@ import coadjoint as co
 from coadjoint.methods import registry
 from own_schemes import OwnKahan
 from refusals import refused
-from served import served
 
 
 def named(name, module="another_package", path=None):
@@ -111,24 +110,3 @@ def test_what_is_no_scheme_is_not_registered(given):
     with refused(TypeError, "int" if given is int else "StepMethod"):
         co.methods.register(given)
     assert described() == before
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("name", co.methods.names())
-def test_examples_equal_their_descriptions(name):
-    for method in registry.scheme(name).examples():
-        assert type(method).__name__ == name and method.order >= 1
-        assert registry.from_description(registry.description_of(method)) == method
-        system = served(method)[0]
-        assert method.work(system).cost(1.0, 1.0) > 0
-        if method.symmetric:
-            composed = co.Composition(method, (0.25, 0.5, 0.25))
-            # Iterations and evaluations are those of all substeps; flows at the seams of splittings are joined.
-            assert 2.0 < composed.work(system).cost(15.0, 18.0) / method.work(system).cost(5.0, 6.0) <= 3.0 + 1e-12
-
-
-@pytest.mark.parametrize("method", [OwnKahan(), co.Kahan()], ids=str)
-def test_substeps_of_own_schemes_are_counted(method):
-    system = co.systems.rigid_body()
-    costs = [one.work(system).cost(1.0, 1.0) for one in (method, co.Composition(method, (0.25, 0.5, 0.25)))]
-    assert costs[1] == 3.0 * costs[0]

@@ -49,18 +49,6 @@ def test_of_ready_made_systems(system, expected):
     assert groups(system) == expected
 
 
-def test_of_algebras_with_and_without_rotations():
-    free = co.Quadratic(np.ones(6))
-    for algebra, sizes in [
-        (co.algebras.so(4), [6]),
-        (co.algebras.e(3), [3, 3]),
-        (co.algebras.direct_sum(co.algebras.so(3), co.algebras.so(3)), [3, 3]),
-        (co.algebras.direct_sum(co.algebras.sl(2), co.LieAlgebra([], dim=3)), [3, 1, 1, 1]),
-        (co.algebras.direct_sum(co.algebras.heisenberg(1), co.algebras.so(3)), [1, 1, 1, 3]),
-    ]:
-        assert list(groups(co.LiePoissonSystem(algebra, free)).values()) == sizes
-
-
 @pytest.mark.parametrize("name", co.systems.names())
 def test_names_are_unique_and_norms_those_of_the_coordinates(name):
     system = co.systems.get(name)

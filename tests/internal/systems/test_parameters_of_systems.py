@@ -1,4 +1,4 @@
-"""Parameters by which runs are differentiated: which there are, derivatives of the energy by them, and other values."""
+"""Parameters by which runs are differentiated: which there are, and declared energies and their derivatives."""
 
 import math
 
@@ -8,14 +8,10 @@ import scipy.sparse
 
 import coadjoint as co
 from coadjoint.systems import registry
-from coadjoint.systems.coefficients import EnergyCoefficients
-from coadjoint.systems.energy_derivatives import derivative_by_steps
-from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
+from coadjoint.systems.parameters import parameter_of, parameters_of, with_parameters
 from refusals import refused
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*principal moment")
-
-TENSOR = ((2.0, 0.3, 0.1), (0.3, 3.0, -0.2), (0.1, -0.2, 4.0))
 
 
 @pytest.mark.parametrize(
@@ -50,22 +46,6 @@ def test_arguments_that_enter_coefficients_alone_are_parameters(name, given, nam
 
 
 SO3 = co.algebras.so(3)
-FULL = np.array(TENSOR)
-
-
-@pytest.mark.parametrize(
-    ("M", "shape"), [((1.0, 0.0, 2.0), (3,)), (0.5, (3,)), (FULL, (3, 3)), (np.zeros((3, 3)), (3,))]
-)
-def test_parameters_of_quadratic_energies_are_m_and_the_linear_term(M, shape):
-    system = co.LiePoissonSystem(SO3, co.Quadratic(M, linear=(0.0, 0.5, -1.0)))
-    found, matrix = parameters_of(system), system.hamiltonian.hessian(np.zeros(3))
-    assert found["M"].value.shape == shape
-    assert np.array_equal(found["M"].value, np.diag(matrix) if len(shape) == 1 else matrix)
-    assert np.array_equal(found["linear"].value, [0.0, 0.5, -1.0])
-    x = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.25]])
-    squares = x**2 / 2 if len(shape) == 1 else x[:, :, None] * x[:, None] / 2
-    assert np.array_equal(found["M"].energy().at(x), squares.reshape(2, -1))
-    assert np.array_equal(found["linear"].energy().at(x), x)
 
 
 def test_arguments_that_do_not_give_the_system_are_no_parameters():
@@ -233,46 +213,9 @@ def test_differences_do_not_warn_of_values_that_were_not_given():
     assert np.any(tangents.x)
 
 
-QUARTIC = co.Polynomial({(4, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1.0, (1, 1, 0): 0.1})
-NAMES = ("heavy_top", "kirchhoff_body", "lagrange_top", "manakov_top", "riccati", "rigid_body", "spin_lattice", "toda")
-
-
-def system_on_so3(H):
-    return co.LiePoissonSystem(SO3, H, sign=-1, name="mine", integrals={"H": H})
-
-
 def band(n):
     """A sparse matrix above the largest dense one, and its stored entries."""
     return scipy.sparse.diags_array([np.full(n - 1, 0.1), np.ones(n), np.full(n - 1, 0.1)], offsets=(-1, 0, 1)).tocsr()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_ready_made_systems_are_made_by_their_functions(name):
-    system = co.systems.get(name, **({"inertia": (1.0, 2.0, 2.5)} if name == "rigid_body" else {}))
-    values = {key: np.asarray(1.0625 * one.value) for key, one in parameters_of(system).items()}
-    changed, x = with_parameters(system, values), np.cos(np.arange(system.dim))
-    if set(values) <= set(system.parameters):
-        made = co.systems.get(name, **(system.parameters | values))
-        assert changed.parameters == made.parameters
-        assert np.array_equal(changed.vector_field(x), made.vector_field(x))
-    found = parameters_at(system, values)
-    for key, one in parameters_of(changed).items():
-        assert np.array_equal(one.value, found[key].value)
-        assert np.array_equal(one.energy().at(x), found[key].energy().at(x))
-
-
-@pytest.mark.parametrize("M", [[1.0, 0.5, 0.4], FULL], ids=["diagonal", "full"])
-def test_matrix_and_linear_part_are_replaced(M):
-    system = system_on_so3(co.Quadratic(M, linear=[0.0, 0.1, 0.0], constant=2.0))
-    values = {"M": 1.5 * np.array(M), "linear": np.array([0.5, 0.0, 0.25])}
-    changed = with_parameters(system, values)
-    own, x = co.Quadratic(values["M"], values["linear"], 2.0), np.array([1.0, 2.0, 0.5])
-    assert changed.energy(x) == own(x) and np.array_equal(changed.hamiltonian.gradient(x), own.gradient(x))
-    assert (changed.name, changed.sign, changed.algebra) == ("mine", -1, SO3)
-    assert changed.integrals == {} and changed.parameters is None
-    assert system.energy(x) == co.Quadratic(M, [0.0, 0.1, 0.0], 2.0)(x)
-    only = with_parameters(system, {"linear": values["linear"]})
-    assert np.array_equal(only.hamiltonian.gradient(x), co.Quadratic(M, values["linear"]).gradient(x))
 
 
 def test_matrices_are_parameters_with_all_entries_up_to_a_dimension_and_then_with_those_stored():
@@ -294,76 +237,6 @@ def test_matrices_are_parameters_with_all_entries_up_to_a_dimension_and_then_wit
     moved[1] += 0.5
     hessian = with_parameters(system, {"M": moved}).hamiltonian.hessian(np.zeros(n))
     assert M.toarray()[0, 1] == 0.1 and hessian[0, 1] == hessian[1, 0] == 0.5 * (0.6 + 0.1)
-
-
-def test_coefficients_are_replaced_in_the_order_of_the_monomials():
-    system = system_on_so3(QUARTIC)
-    values, x = np.array([2.0, 0.0, 3.0, 0.5]), np.array([1.0, 2.0, 0.5])
-    changed = with_parameters(system, {"coefficients": values})
-    monomials = dict(zip(system.hamiltonian.polynomial.monomials, values.tolist(), strict=True))
-    assert changed.energy(x) == co.Polynomial(monomials, dim=3)(x)
-
-
-def test_derivatives_by_coefficients_that_are_zero_remain():
-    x = np.array([1.0, 2.0, 0.5])
-    for H, zeros, expected in (
-        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"M": np.zeros((3, 3))}, np.outer(x, x).ravel() / 2),
-        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"linear": np.zeros(3)}, x),
-        (QUARTIC, {"coefficients": np.zeros(4)}, [np.prod(x**exponents) for exponents in QUARTIC.monomials]),
-    ):
-        ((name, value),) = zeros.items()
-        found = parameters_at(system_on_so3(H), zeros)[name]
-        assert found.value.shape == value.shape
-        np.testing.assert_allclose(found.energy().at(x), expected, rtol=8 * 2.0**-53)
-
-
-def test_refused_values_are_named():
-    with refused(ValueError, "inertia"):
-        with_parameters(co.systems.rigid_body((1, 2, 3)), {"inertia": np.array([1.0, -2.0, 3.0])})
-    with refused(ValueError, "M"):
-        with_parameters(system_on_so3(co.Quadratic(FULL)), {"M": np.full((3, 3), np.nan)})
-
-
-def of(codes, values, others=None):
-    return EnergyCoefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values), others or {})
-
-
-SHARED = [
-    {0: 1.0, 1: 1.0},
-    {0: 1.0, 16: 1.0},
-    {3: 1.0, 19: 1.0},
-    {5: 2.0, 18: -2.0},
-    {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0},
-]
-
-
-@pytest.mark.parametrize("shared", SHARED, ids=str)
-def test_a_coefficient_of_several_entries_is_differentiated_by_all(shared):
-    """Also if the numbers of the entries share digits, or their changes cancel."""
-    value = np.linspace(1.0, 2.0, 20)
-
-    def coefficients(entries):
-        return of(np.arange(1, 22), [*entries, sum(factor * entries[k] for k, factor in shared.items())])
-
-    energy = derivative_by_steps(coefficients, value, False)
-    at_shared = energy.linear == 20
-    assert dict(zip(energy.linear_entry[at_shared], energy.linear_factor[at_shared], strict=True)) == shared
-    assert np.all(energy.linear_factor[~at_shared] == 1.0) and len(energy.linear) == 20 + len(shared)
-
-
-def test_entries_of_which_each_has_its_coefficients_are_differentiated_together():
-    value, calls = np.linspace(1.0, 2.0, 100), []
-
-    def coefficients(entries):
-        calls.append(entries)
-        return of(np.arange(1, 201), np.concatenate([1.0 / entries, entries**2]))
-
-    energy = derivative_by_steps(coefficients, value, False)
-    assert len(calls) == 9
-    assert energy.linear.tolist() == [k + 100 * part for k in range(100) for part in (0, 1)]
-    assert energy.linear_entry.tolist() == np.repeat(np.arange(100), 2).tolist()
-    wanted = np.stack([-1.0 / value**2, 2.0 * value], axis=1).ravel()
-    np.testing.assert_allclose(energy.linear_factor, wanted, rtol=4 * 2.0**-53)
 
 
 def test_energies_of_functions_and_of_pieces_have_no_parameters():

@@ -1,11 +1,9 @@
-"""Rows that repeat, as those of a lattice, are stored once: the same matrix, the same bits, few bytes a spin."""
+"""Rows that repeat, as those of a lattice, are stored once: the same bits, few bytes a spin."""
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.actions import build_action, copied_action
-from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.systems.hamiltonians import repeated_rows as rows
 from coadjoint.systems.hamiltonians.terms import RepeatedTerm
@@ -48,20 +46,6 @@ def explicit(name, monkeypatch):
         return lattice(name)
 
 
-@pytest.mark.parametrize("name", [name for name in LATTICES if name not in EXPLICIT])
-def test_matrix_is_that_of_explicit_rows(name, monkeypatch):
-    (term,), (expected,) = (system.hamiltonian.terms() for system in (lattice(name), explicit(name, monkeypatch)))
-    assert isinstance(term, RepeatedTerm) and not isinstance(expected, RepeatedTerm)
-    for part in ("indptr", "indices", "values", "linear"):
-        np.testing.assert_array_equal(getattr(term, part), getattr(expected, part))
-    assert term.multiplications == len(expected.values)
-    x = np.random.default_rng(2).standard_normal(len(term.linear))
-    size = np.bincount(expected.rows, np.abs(expected.values * x[expected.indices]), minlength=len(x))
-    product = np.bincount(expected.rows, expected.values * x[expected.indices], minlength=len(x))
-    found = lattice(name).hamiltonian.gradient(x)
-    assert np.all(np.abs(found - product - expected.linear) <= 1e-14 * (1 + size))
-
-
 @pytest.mark.parametrize("name", [name for name in LATTICES if name not in (*EXPLICIT, "directed", "only on site")])
 @pytest.mark.parametrize("options", [{}, {"compensated": True}], ids=["plain", "compensated"])
 def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
@@ -78,18 +62,6 @@ def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
         assert np.array_equal(runs[0].x, runs[1].x)
         assert np.array_equal(runs[0].energy, runs[1].energy)
         assert runs[0].step_error() == runs[1].step_error()
-
-
-@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.0, 1.0)])
-def test_actions_of_copies_are_those_of_all_blocks(axes):
-    system = co.systems.spin_lattice("ring", 2100, tensor=axes)
-    parts = decompose(system, "auto").parts
-    copied = copied_action(system.algebra, parts)
-    expected = build_action(BasisMatrices.coadjoint(system.algebra), parts)
-    assert copied is not None
-    for name, column in copied._asdict().items():
-        np.testing.assert_array_equal(column, getattr(expected, name), name)
-        assert np.asarray(column).dtype == np.asarray(getattr(expected, name)).dtype
 
 
 def arrays_in(item, found):

@@ -1,4 +1,4 @@
-"""Linear terms, polynomials and formulas inside Hamiltonians, signatures of functions, and failing functions of JAX."""
+"""Compiled formulas of functions, signatures of functions, and failing functions of JAX."""
 
 import functools
 import math
@@ -10,64 +10,8 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.recording import values_along
-from coadjoint.systems.coefficients import linear_of, with_linear
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import takes_time
-
-X = np.array([0.3, -0.7, 1.1, 0.4])
-
-
-def cosh():
-    """A function without a linear term."""
-    return co.Separable({0: (np.cosh, np.sinh, np.cosh)})
-
-
-LINES = {  # Hamiltonians of four coordinates, even but for their linear terms
-    "quadratic": lambda: co.Quadratic(np.diag([1.0, 2.0, -1.0, 0.5]), linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
-    "polynomial": lambda: co.Polynomial("1.5*x1^2*x3^2 - 0.5*x1 + 3*x4 + x2^2", dim=4),
-    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
-    "split": lambda: co.SplitHamiltonian(
-        [((3, 1), co.Quadratic([1.0, 2.0], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, [0.5]))]
-    ),
-    "split in a split": lambda: co.SplitHamiltonian(
-        [((3, 1), co.SplitHamiltonian([((1, 0), co.Quadratic([0.5, 1.0], linear=[1.0, -3.0]))]))]
-    ),
-    "split, separable and polynomial": lambda: LINES["split"]() + LINES["separable"]() + LINES["polynomial"](),
-}
-
-
-@pytest.mark.parametrize("kind", LINES)
-def test_another_linear_term_changes_nothing_else(kind):
-    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, {}), LINES[kind](), casimirs={})
-    H, x = system.hamiltonian, np.array([0.3, -0.7, 1.1, 0.4])
-    old = H.gradient(np.zeros(4))
-    np.testing.assert_array_equal(linear_of(H), old)
-    for new in (np.array([0.5, 0.0, -2.0, 1.0]), np.zeros(4), old + [0.0, 0.0, 0.0, 1.0], old):
-        changed = with_linear(system, new).hamiltonian
-        np.testing.assert_allclose(changed.gradient(np.zeros(4)), new, rtol=0, atol=2.0**-50)
-        np.testing.assert_allclose(changed.gradient(x) - H.gradient(x), new - old, rtol=0, atol=2.0**-49)
-        np.testing.assert_allclose(changed.value(x) - H.value(x), (new - old) @ x, rtol=0, atol=2.0**-48)
-        np.testing.assert_array_equal(changed.hessian(x), H.hessian(x))
-    np.testing.assert_array_equal(H.gradient(np.zeros(4)), old)
-
-
-def test_the_polynomial_of_a_hamiltonian_has_all_of_its_parts():
-    split = co.SplitHamiltonian(
-        [
-            ((2, 0), co.Quadratic([[1.0, 0.5], [0.5, 3.0]], linear=[0.25, -1.0], constant=-4.0)),
-            ((1, 2), co.Polynomial("1/3*x1*x2^2 + 2", dim=2)),
-            ((0,), co.Quadratic(2.0, linear=[1.0], constant=0.5)),
-        ]
-    ).bind(3)
-    np.testing.assert_array_equal(linear_of(split), split.gradient(np.zeros(3)))
-    both = as_hamiltonian(split + co.Polynomial({(1, 1, 1): 2.0, (0, 0, 0): 7.0}, dim=3), 3)
-    for H in (split, both, as_hamiltonian(co.Quadratic(3.0, constant=1.0), 3)):
-        polynomial = polynomial_of(H)
-        for x in (np.zeros(3), X[:3], -2 * X[:3]):
-            assert polynomial(x) == pytest.approx(H.value(x), rel=1e-14)
-    assert polynomial_of(as_hamiltonian(split + co.Separable({0: (np.cosh, np.sinh)}), 3)) is None
 
 
 def test_the_kernels_have_the_formula_and_its_multiples():
