@@ -354,15 +354,6 @@ def test_drifts_of_lines_of_random_bodies(span, count=30):
     assert span < 200 or len(errors) > 0.3 * 3 * count
 
 
-@pytest.mark.parametrize("kind", ["white", "correlated", "oscillating"])
-def test_frequencies_in_noise(kind):
-    t = 0.5 * np.arange(512)
-    phases = np.random.default_rng(3).uniform(0, 7, SEEDS)
-    signal = 3.0 * np.cos(4.1 * t[:, None] + phases) + noise_of(kind, (512, SEEDS), 4)
-    found = co.frequencies(t, signal[:, :, None], count=1, window=2)
-    check_coverage(found.frequency[:, 0] - 4.1, found.uncertainty[:, 0])
-
-
 def test_errors_of_steps_at_and_near_an_equilibrium():
     """Of M x + l parallel to x, which the parts of a splitting leave: NaN at rest, a number where the field counts."""
     x, M = np.array([0.6, 0.0, 0.8]), np.array([1.0, 0.5, 1 / 3])

@@ -90,17 +90,6 @@ def test_autoregressive_process(a):
     assert found.window[0] >= 5 * found.time[0]
 
 
-def test_error_bars_hold():
-    """Deviations of the time and of the mean, in units of their errors, have the width one in any unit of time."""
-    a, runs, spacing = 0.8, 300, 0.125
-    series = autoregressive(a, 3000, runs, seed=5)
-    found = autocorrelation(spacing * np.arange(3000), series)  # every run a channel
-    times = (found.time - 4.5 * spacing) / found.error
-    means = found.mean / found.mean_error
-    assert 0.8 < times.std() < 1.2 and abs(times.mean()) < 0.4
-    assert 0.88 < means.std() < 1.12 and found.values.shape == (1501, runs)
-
-
 def test_members_are_pooled():
     """Products of all members with the deviations from the common mean."""
     series = autoregressive(0.5, 64, 3)
