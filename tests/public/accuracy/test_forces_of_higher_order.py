@@ -7,13 +7,11 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from drawn_matrices import full
-from long import long_beyond
 from matrix.forces import first_fitting
 from refusals import refused
 
 SPAN = (0.5, 2.5)
 TOP = np.array([1.0, 0.5, 0.3, 0.2, 0.3, 0.9])
-PUSH = TOP * (np.arange(6) < 3)
 SPINS = np.array([0.6, 0.0, 0.8, 0.0, -0.6, 0.8, 0.8, 0.6, 0.0])
 DAMPING = co.forces.LinearDamping(np.array([0.1, 0.2, 0.15, 0.0, 0.0, 0.0]))
 GAUSS = co.GaussLegendre(1)
@@ -263,37 +261,6 @@ def test_a_scheme_that_is_not_composed_has_order_two():
         assert abs(np.log2(np.abs(errors).max(axis=1)[0] / np.abs(errors).max(axis=1)[1]) - 2.0) < 0.5
 
 
-@pytest.mark.parametrize("name", long_beyond(4, CASES))
-def test_members_steppers_times_and_derivatives(name):
-    """Members have the bits of runs alone; tangents are differences; cotangents are transposed tangents."""
-    system, x0, methods = CASES[name]
-    method = methods[:2][-1]
-    ready, span = co.prepare(system, method, step=0.125), (0.5, 1.5)
-    members = np.array([x0, 0.75 * x0, -x0])
-    together, alone = ready.run(members, span, save_every=2), ready.run(x0, span, save_every=2)
-    for m, x in enumerate(members):
-        np.testing.assert_array_equal(np.asarray(together.x)[:, m], ready.run(x, span, save_every=2).x)
-    step = co.stepper(system, method, 0.125)
-    np.testing.assert_array_equal(step(x0, 0.5), ready.run(x0, (0.5, 0.625)).x[-1])
-    plain = co.methods.Forced(method).step(system, x0, 0.5, 0.125)
-    # A step has less than 1e5 operations, each of which rounds by u.
-    np.testing.assert_allclose(step(x0, 0.5), plain, rtol=0, atol=1e-11)
-    between = ready.run(x0, span, t_eval=[0.5, 0.8125, 1.5])
-    np.testing.assert_array_equal(np.asarray(between.x)[[0, 2]], np.asarray(alone.x)[[0, -1]])
-    v = np.linspace(-1.0, 1.0, len(x0))
-    sol, tangents = ready.jvp(x0, span, {"x0": v}, save_every=2)
-    np.testing.assert_array_equal(sol.x, alone.x)
-    shift = 1e-4
-    wanted = (ready.run(x0 + shift * v, span).x[-1] - ready.run(x0 - shift * v, span).x[-1]) / (2 * shift)
-    change = np.asarray(tangents.x)[-1].reshape(-1)
-    # Differences have errors of shift^2 and u / shift, a few 1e-9 with third derivatives of size one.
-    np.testing.assert_allclose(change, wanted, atol=1e-7)
-    _, pullback = ready.vjp(x0, span, save_every=2)
-    weights = np.zeros(alone.x.shape)
-    weights[-1] = v[::-1]
-    assert abs(pullback(weights)["x0"] @ v - weights[-1] @ change) < 1e-8
-
-
 @pytest.mark.parametrize("order", [6, 8, 10])
 def test_gradients_of_long_steps_are_those_of_the_flows_of_the_order(order):
     """In steps so long that flows of the fourth order would lead to other states, and so to other derivatives."""
@@ -322,44 +289,3 @@ def test_flows_of_torques_have_the_order_of_their_scheme(order):
             found = torque.flow_of_order(body, x, mpmath.mpf(0), tau, order)
             errors.append(max(abs(found - x / (1 - tau * x))))
         assert mpmath.log(errors[0] / errors[1], 2) > order + 0.9
-
-
-def test_members_of_a_batch_have_the_bits_of_single_runs():
-    """Their energies, dampings and torques differ; so do attitudes of forward and backward substeps."""
-    tops = [
-        co.systems.heavy_top((1.0, 2.0, third)).with_forces(
-            co.forces.LinearDamping(third / 20), co.forces.Torque(torque)
-        )
-        for third, torque in ((2.25, 0.1 * PUSH), (2.5, -0.2 * PUSH), (2.75, (0.3, 0.1, 0.2, 0.0, 0.0, 0.0)))
-    ]
-    run = {"t_span": SPAN, "step": 0.125, "method": co.Splitting(order=4), "attitude": True}
-    together = co.integrate(co.batch(tops), TOP, **run)
-    for m, one in enumerate(tops):
-        alone = co.integrate(one, TOP, **run)
-        np.testing.assert_array_equal(np.asarray(together.x)[:, m], alone.x)
-        np.testing.assert_array_equal(np.asarray(together.attitude)[:, m], alone.attitude)
-
-
-def test_inputs_are_those_of_each_substep():
-    system = co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0)))
-    x0, given = (0.3, 1.0, 0.2), {"spin": (1,), "push": "Torque"}
-    ready = co.prepare(system, co.Splitting(order=6), step=0.125, inputs=given)
-    spin, push = np.array([0.3]), np.array([0.1, -0.2, 0.3])
-    fixed = co.LiePoissonSystem(
-        system.algebra, co.Quadratic([1.0, 1 / 2, 1 / 3], linear=(0.0, 0.3, 0.0)), sign=system.sign
-    )
-    fixed = fixed.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(push))
-    found = ready.run(x0, SPAN, spin=spin, push=push).x[-1]
-    wanted = co.integrate(fixed, x0, SPAN, 0.125, co.Splitting(order=6)).x[-1]
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
-    assert np.abs(found - ready.run(x0, SPAN, spin=0 * spin, push=push).x[-1]).max() > 0.01
-
-
-def test_crossings_have_the_order():
-    system, x0 = top(co.forces.Torque(of_state), DAMPING)
-    event = co.Event(lambda x: x[1] - 0.2)
-    times = [
-        co.integrate(system, x0, SPAN, h, co.Splitting(order=6), events=event).events.t[0]
-        for h in (0.25, 0.125, 1 / 32)
-    ]
-    assert np.log2(abs(times[0] - times[2]) / abs(times[1] - times[2])) > 5.5

@@ -56,60 +56,7 @@ def timed(changed):
     return co.LiePoissonSystem(co.algebras.so(3), energy, sign=-1, name="timed")
 
 
-def cubic(changed):
-    monomials = {(2, 0, 0): 0.5, (0, 2, 0): 0.3, (0, 0, 2): 0.2, (0, 1, 2): 0.4, (1, 0, 0): 0.1}
-    order = co.Polynomial(monomials).monomials
-    values = changed.get("coefficients", list(order.values()))
-    return co.LiePoissonSystem(co.algebras.se(2), co.Polynomial(dict(zip(order, map(float, values), strict=True))))
-
-
 BODY, TOP = named("rigid_body", inertia=(1.0, 2.0, 2.5)), named("heavy_top", inertia=(1.0, 2.0, 2.5))
-FULL = own(co.algebras.so(3), [[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], [0.1, 0.0, 0.2])
-TRIAD = own(co.systems.fluid_triad().algebra, [0.5, 0.2, 0.1], np.zeros(3))
-# Its matrices turn by half the angle of the momentum.
-SPINORS = own(co.algebras.get("su(2)"), [0.3, 0.6, 1.0], np.zeros(3))
-TIMES = {"t_eval": [0.5, 0.52, 0.75, 0.97]}
-RUNS = {  # beside those of ready-made systems, which are drawn with all schemes and options
-    "spinors": (SPINORS, "order 4", X3, (0.5, 1.0), {"attitude": True, **TIMES}),
-    "full": (FULL, "compensated", X3, (0.5, 1.0), {"attitude": "coadjoint", **TIMES}),
-    "cubic": (cubic, "order 4", X3, (0.5, 1.0), {}),
-    "cubic by stages": (cubic, "Gauss", X3, (0.5, 0.25), {}),
-    "in time": (timed, "order 4", X3, (0.5, 1.0), TIMES),
-    "in time by stages": (timed, "Gauss", X3, (0.5, 1.0), {"attitude": "coadjoint"}),
-    "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.3), {"attitude": "coadjoint"}),
-    "from rest, step by step": (
-        named("gyrostat", inertia=(1.0, 2.0, 2.5)),
-        "commutator-free",
-        0 * X3,
-        (0.5, 0.7),
-        {"attitude": True},
-    ),
-}
-GIVEN = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
-FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}
-TWO = {"inputs": {"rates": (0, 2)}, "values": {"rates": np.array([0.3, -0.1])}}
-LINEAR = {"inputs": True, "values": {"linear": np.array([0.3, -0.1, 0.2])}}
-STEERED = {
-    "top": (TOP, "order 4", X6, (0.5, 1.0), {"inputs": GIVEN, "values": FOUR, "attitude": True}),
-    "top of stages": (TOP, "rk4", X6, (1.0, 0.5), {"inputs": GIVEN, "values": FOUR, "attitude": "coadjoint"}),
-    # Its parts are completed squares, whose offsets are sums of inputs.
-    "full": (FULL, "order 4", X3, (0.5, 1.0), {**LINEAR, **TIMES, "attitude": "coadjoint"}),
-    "rational": (BODY, "rational", X3, (1.0, 0.5), {**TWO, "attitude": True}),
-    "cubic": (cubic, "Gauss", X3, (0.5, 1.0), TWO),
-    "cubic, step by step": (cubic, "Taylor", X3, (0.5, 0.65), TWO),
-    "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.35), TWO),
-    # Its parts are chosen without the inputs, with which others would be better.
-    "triad, step by step": (TRIAD, "projected", X3, (0.5, 0.65), LINEAR),
-}
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(("build", "scheme", "x0", "span", "options"), [*RUNS.values(), *STEERED.values()],
-    ids=[*RUNS, *(f"{name} by inputs" for name in STEERED)])  # fmt: skip
-def test_derivatives_of_runs(build, scheme, x0, span, options):
-    rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule
-    by_steps = scheme in ("Taylor", "commutator-free", "projected")
-    assert rule.get("inputs") == (None if "inputs" not in options else "differences" if by_steps else "exact")
 
 
 def forced(base, *forces):
@@ -633,6 +580,10 @@ def test_derivatives_by_added_parts_have_the_order_of_the_scheme(name, parameter
     # The next order of the error is at most some times the step larger or smaller.
     assert abs(np.log2(errors[0] / errors[1]) - order) < 0.6
     assert errors[1] < 40 * 32.0**-order * np.linalg.norm(wanted)
+
+
+GIVEN = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
+FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}
 
 
 @pytest.mark.parametrize("scheme", ["order 4", "processed", "compensated"])

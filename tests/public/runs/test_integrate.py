@@ -44,14 +44,6 @@ def test_energy_and_casimirs_of_the_saved_states():
             assert abs(sol.casimirs[name][0] - casimir(sol.x[0])) <= 16 * U * (1 + sol.x[0] @ sol.x[0])
 
 
-def test_arguments_are_not_modified():
-    s, x0 = e3_and_start()
-    given, element = x0.copy(), np.eye(4)
-    sol = co.integrate(s, given, (0, 1), 0.1, attitude=element)
-    assert np.array_equal(given, x0) and not np.shares_memory(sol.x, given)
-    assert np.array_equal(element, np.eye(4)) and not np.shares_memory(sol.attitude, element)
-
-
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_drift_is_over_every_step(name):
     s = SYSTEMS[name]

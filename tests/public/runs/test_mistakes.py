@@ -162,35 +162,6 @@ def test_the_message_names_the_mistake_and_what_to_give(name):
     assert not re.search(r"unexpected keyword|positional argument|NoneType", message)
 
 
-def test_algebras_from_names_and_lines():
-    brackets = {("h", "e"): {"e": 2}, ("h", "f"): {"f": -2}, ("e", "f"): {"h": 1}}
-    names = co.LieAlgebra.from_brackets(3, brackets, basis=("h", "e", "f"))
-    lines = co.LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
-    other = co.LieAlgebra.from_brackets(3, ["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"], basis=("e", "h", "f"))
-    assert names == lines != other and lines.basis == ("h", "e", "f") and other.basis == ("e", "h", "f")
-    assert other.casimirs()["C2"].degree == lines.casimirs()["C2"].degree == 2
-
-
-@pytest.mark.parametrize(
-    "written", ["Splitting", {"name": "Splitting", "order": 2}, {"name": "Splitting", "parameters": {"order": 2}}]
-)
-def test_schemes_by_name_or_mapping(written):
-    for sol in (full(method=written), co.prepare(BODY, written, 0.1).run(X0, SPAN)):
-        assert sol.method == co.Splitting() and (sol.x == RUN.x).all()
-    assert (co.stepper(BODY, written, 0.1)(X0) == RUN.x[1]).all()
-    assert full(method={"name": "Splitting", "order": 4}).method == co.Splitting(order=4)
-    assert full(method="rk4").method == co.ExplicitRungeKutta("rk4")
-
-
-def test_missing_casimirs_are_explained():
-    found = co.algebras.get("A3_7", a=0.5).casimirs()
-    assert found.corank == 1 and found.missing == 0 and "log" in repr(found)
-    with pytest.warns(UserWarning, match="0 of 1 independent Casimirs up to degree 1"):
-        assert SO3.casimirs(1).missing == 1
-    assert "no Casimir of any kind" in repr(co.algebras.get("A2_1").casimirs())
-    assert repr(SO3.casimirs()) == "{'C2': x1^2 + x2^2 + x3^2}"
-
-
 def test_hints_name_what_exists():
     """Attributes of solutions of other libraries are none here, and functions in messages are there."""
     for make, *_ in MISTAKES.values():

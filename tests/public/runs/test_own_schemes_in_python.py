@@ -89,13 +89,6 @@ def test_a_component_that_is_not_analytic_is_found_among_others():
             assert by == "differences" and error <= 2.0**-31, (place, others.index(other))
 
 
-def test_an_accuracy_chooses_its_step():
-    sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), method=OwnKahan(), accuracy=1e-4)
-    assert np.max(np.abs(sol.x[-1] - SYSTEMS["so(3)"].exact((1, 0.2, 0.5), 10.0))) < 1e-4
-    same = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), sol.step, co.Kahan())
-    assert np.max(np.abs(sol.x - same.x)) < 1e-12
-
-
 class Scaled(Plain):
     """Parameters of every kind that a compiled step reads, as attributes of the class."""
 

@@ -5,7 +5,6 @@ import sys
 
 import cloudpickle
 import numpy as np
-import pytest
 
 import coadjoint as co
 
@@ -47,18 +46,6 @@ print(len(cases))
 def prepared(name):
     system, method, attitude, x0 = CASES[name]
     return co.prepare(system, method, 0.125, attitude=attitude), x0
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("span", [(0.0, 2.0), (1.0, -1.0)])
-@pytest.mark.parametrize("name", CASES)
-def test_pickled_run_has_the_same_bits(name, span):
-    if "noise" in name and span[1] < span[0]:
-        return
-    ready, x0 = prepared(name)
-    here, there = ready.run(x0, span), cloudpickle.loads(cloudpickle.dumps(ready)).run(x0, span)
-    for one, other in zip(here.to_xarray().data_vars.values(), there.to_xarray().data_vars.values(), strict=True):
-        np.testing.assert_array_equal(one.values, other.values)
 
 
 def test_pickles_have_the_same_bits_in_another_process(tmp_path):

@@ -36,20 +36,6 @@ def test_runs_in_the_other_direction_are_those_prepared_for_it(system, method):
     np.testing.assert_allclose(first.run(sols[0].x[-1], (0.3, 1.0)).x[-1], x0, rtol=0, atol=1e-13)
 
 
-def test_initial_group_element_per_run():
-    ready = co.prepare(BODY, None, 0.1, attitude=True)
-    turned = ready.run(X, (0, 1), attitude=QUARTER)
-    assert np.array_equal(turned.attitude, co.integrate(BODY, X, (0, 1), 0.1, attitude=QUARTER).attitude)
-    assert np.array_equal(ready.run(X, (0, 1)).attitude[0], np.eye(3))
-    for wrong in (True, "coadjoint"):
-        with refused(ValueError, "attitude", wrong):
-            ready.run(X, (0, 1), attitude=wrong)
-    with refused(ValueError, "attitude", "prepare"):
-        co.prepare(BODY, None, 0.1).run(X, (0, 1), attitude=QUARTER)
-    with refused(ValueError, "attitude", "(2, 2)"):
-        ready.run(X, (0, 1), attitude=np.eye(2))
-
-
 def test_attributes_of_solutions_are_lazy_and_cached():
     """In any order, after other runs, and after the states are overwritten."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})

@@ -150,18 +150,6 @@ def test_numpy_integers_among_fractions_do_not_overflow(kind):
     assert (H + H).hessian(point).tolist() == [[2 * third, -2 * large], [-2 * large, 2 * large]]
 
 
-def test_constants_and_coefficients_of_fractions():
-    third = Fraction(1, 3)
-    assert co.Quadratic([1.0, 2.0], constant=third).exact and not co.Quadratic([1.0, 2.0], constant=0.25).exact
-    assert co.Quadratic(1.0, constant=third).exact and co.Quadratic([1.0, 2.0], linear=[third, 0.0]).exact
-    x = np.array([third, Fraction(-2)], dtype=object)
-    assert co.Quadratic([Fraction(3), 0], constant=third).value(x) == Fraction(1, 2) * third + third
-    odd = co.Quadratic([[3, 1], [1, 0]]).to_polynomial()
-    assert odd(x) == Fraction(3, 2) * third**2 - 2 * third
-    whole = co.Quadratic(np.array([[3, 1], [1, Fraction(1, 2)]], dtype=object)).to_polynomial()
-    assert whole(x) == Fraction(3, 2) * third**2 - 2 * third + 1
-
-
 def test_input_is_copied_and_round_off_asymmetry_takes_the_upper_triangle():
     M = np.array([1.0, 2.0])
     H = co.Quadratic(M)
