@@ -163,9 +163,3 @@ def drift_bounds(run: co.Solution) -> dict[str, float]:
         for name, what in invariants.items()
     }
     return {name: 4 * n * U * work * size for name, size in sizes.items()}
-
-
-def group_bound(run: co.Solution, size: float) -> float:
-    """Return the most that rounding could move a product with the group element of the given size."""
-    d = run.attitude.shape[-1]
-    return 4 * d * U * (run.stats.evaluations + run.stats.steps + 1) * size

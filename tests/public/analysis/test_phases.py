@@ -1,10 +1,7 @@
 """Phases: angles between attitudes, leads of motions shifted by known amounts, lines through series, verdicts."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
@@ -260,28 +257,6 @@ def test_a_reference_run_is_interpolated_between_its_saved_times(several, sense)
 
 SAMPLES = 1000
 T = np.arange(SAMPLES) * 0.1
-
-
-def remembering(rng: np.random.Generator, memory: float) -> np.ndarray:
-    """Return a stationary series that forgets over so many samples."""
-    keep = np.exp(-1.0 / memory)
-    start = rng.normal() / np.sqrt(1 - keep**2)
-    return lfilter([1.0], [1.0, -keep], rng.normal(size=SAMPLES), zi=[keep * start])[0]
-
-
-NOISE: dict[str, tuple[Callable[[np.random.Generator], np.ndarray], tuple[float, float]]] = {
-    "white": (lambda rng: rng.normal(size=SAMPLES), (-0.2, 0.2)),
-    "a short memory": (lambda rng: remembering(rng, 10), (-0.1, 0.3)),
-    "a memory of a twentieth": (lambda rng: remembering(rng, 50), (0.0, 0.6)),
-    "a memory of a quarter": (lambda rng: remembering(rng, 250), (0.1, 0.9)),
-    "a random walk": (lambda rng: np.cumsum(rng.normal(size=SAMPLES)), (0.2, 0.95)),
-    "an accumulated walk": (lambda rng: np.cumsum(np.cumsum(rng.normal(size=SAMPLES))), (0.7, 1.9)),
-    "an oscillation": (lambda rng: np.cos(rng.uniform(0.6, 5) * T + rng.uniform(0, 7)), (-0.3, 0.4)),
-    "oscillations": (
-        lambda rng: sum(rng.normal() * np.cos(rng.uniform(0.6, 5) * T + rng.uniform(0, 7)) for _ in range(4)),
-        (-0.3, 0.4),
-    ),
-}
 
 
 def test_a_line_is_found_to_rounding():

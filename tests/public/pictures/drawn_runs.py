@@ -63,10 +63,6 @@ def data(line: Any) -> np.ndarray:
     return np.asarray(line.get_data(), dtype=np.float64)
 
 
-def limits_of(axes: Any) -> np.ndarray:
-    return np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
-
-
 PALETTE = [line.get_color() for line in axes_of(made(np.ones((3, 3))), "components").lines[:3]]
 
 

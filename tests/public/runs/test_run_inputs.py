@@ -12,12 +12,6 @@ pytestmark = pytest.mark.thinned(3)
 U, STEP, SPANS = 2.0**-53, 0.0625, ((0.0, 0.5), (0.5, 0.0))
 
 
-def full_matrix(seed, n):
-    """Return a symmetric positive definite matrix."""
-    B = np.random.default_rng(seed).uniform(-0.1, 0.1, (n, n))
-    return np.round(np.diag(np.linspace(0.6, 1.6, n)) + B + B.T, 3)
-
-
 def spins(count):
     """A chain of spins with exchange and anisotropy, a field on each."""
     M = np.diag(np.tile([1.2, 1.4, 1.7], count))
@@ -25,26 +19,6 @@ def spins(count):
         for k in range(3):
             M[3 * s + k, 3 * s + 3 + k] = M[3 * s + 3 + k, 3 * s + k] = -0.5
     return co.algebras.copies(co.algebras.so(3), count), M
-
-
-ALGEBRAS = {
-    "so(3)": (co.algebras.so(3), np.diag([1.0, 0.5, 1 / 3]), -1),
-    "so(3), full": (co.algebras.so(3), full_matrix(3, 3), +1),
-    "e(3)": (co.algebras.e(3), full_matrix(4, 6), -1),
-    "A3,7": (co.algebras.get("A3,7", a=1.75), full_matrix(5, 3), -1),
-    "spins": (*spins(3), +1),
-}
-
-
-def system(name, linear):
-    algebra, M, sign = ALGEBRAS[name]
-    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign)
-
-
-def numbers(name, seed=0, *members):
-    """Return a state, a linear term, and another one, or one for each member."""
-    n, rng = ALGEBRAS[name][0].dim, np.random.default_rng(seed)
-    return rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, n), rng.uniform(-0.15, 0.15, (*members, n))
 
 
 def test_inputs_of_steps_in_python():
@@ -117,8 +91,8 @@ def test_inputs_replace_the_linear_term_beside_pieces_that_have_their_own(kind, 
 
 
 def test_named_inputs_take_coordinates_in_any_shape():
-    algebra, M, _ = ALGEBRAS["spins"]
-    chain, x = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.full(9, 0.1))), numbers("spins")[0]
+    algebra, M = spins(3)
+    chain, x = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.full(9, 0.1))), np.linspace(0.3, 0.9, 9)
     ready = co.prepare(chain, co.Splitting(order=2), STEP, inputs={"ends": [[0, 1, 2], [8, 7, 6]], "middle": (4,)})
     ends = np.arange(6.0).reshape(2, 3) / 7
     linear = np.full(9, 0.1)
