@@ -239,3 +239,11 @@ def test_casimirs_that_are_functions_are_not_restored():
     assert co.Taylor(4).properties(mixed).casimirs == "polynomial"
     assert co.Taylor(4).properties(systems()["heavy top"]).casimirs == "all"
     assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 3e-17, 1e-18])
+def test_a_finer_series_has_a_tolerance_that_exists(tolerance):
+    found = co.Taylor(12, tolerance=tolerance).finer(20, 1.5)
+    assert found.method.tolerance == max(tolerance / 48.0, 1e-18) and found.method.order == 14
+    assert found.left == min(0.5, found.method.tolerance / tolerance)
+    assert co.Taylor(64, tolerance=tolerance).finer(20, 1.5).method.order == 64
