@@ -241,9 +241,9 @@ def test_casimirs_that_are_functions_are_not_restored():
     assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 3e-17, 1e-18])
-def test_a_finer_series_has_a_tolerance_that_exists(tolerance):
-    found = co.Taylor(12, tolerance=tolerance).finer(20, 1.5)
-    assert found.method.tolerance == max(tolerance / 48.0, 1e-18) and found.method.order == 14
-    assert found.left == min(0.5, found.method.tolerance / tolerance)
-    assert co.Taylor(64, tolerance=tolerance).finer(20, 1.5).method.order == 64
+def test_a_finer_series_has_a_tolerance_that_exists():
+    for tolerance in (1e-3, 3e-17, 1e-18):
+        found = co.Taylor(12, tolerance=tolerance).finer(20, 1.5)
+        assert found.method.tolerance == max(tolerance / 48.0, 1e-18) and found.method.order == 14
+        assert found.left == min(0.5, found.method.tolerance / tolerance)
+        assert co.Taylor(64, tolerance=tolerance).finer(20, 1.5).method.order == 64
