@@ -97,6 +97,30 @@ def test_every_kind_and_every_other(first, second):
                     np.testing.assert_allclose(getattr(whole, name)(x, t), sum(parts), rtol=0, atol=2**-53 * 40 * size)
 
 
+@pytest.mark.thinned(5)
+@pytest.mark.parametrize(
+    "first, second",
+    [
+        ("quadratic", "separable"),
+        ("split", "separable in time"),
+        ("polynomial", "functions"),
+        ("functions that return lists, in time", "fractions"),
+        ("separable", "split too"),
+    ],
+)
+def test_multiples_run_as_what_is_written_at_once(first, second):
+    """The compiled steps are those of the formulas of the scheme, with the gradients that are compared above."""
+    system = co.LiePoissonSystem(co.algebras.so(3), Fraction(3, 4) * KINDS[first]() - 0.5 * KINDS[second]())
+    x, methods = np.array([0.3, -0.2, 0.9]), [co.GaussLegendre(4)]
+    if "functions" not in first + second:
+        methods.append(co.Splitting(order=4))
+    for method in methods:
+        for t, h in ((0.7, 0.125), (0.7, -0.125)):
+            found = co.integrate(system, x, (t, t + h), 0.125, method).x[-1]
+            np.testing.assert_allclose(found, method.step(system, x, t, h), rtol=0, atol=1e-14)
+            assert np.abs(found - x).max() > 1e-3
+
+
 def test_sums_are_saved_and_read_back(tmp_path):
     H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
     system, x = co.LiePoissonSystem(co.algebras.so(3), H), np.array([0.5, 0.25, -1.0])
