@@ -1,4 +1,4 @@
-"""Single steps as functions: derivatives and threads."""
+"""Single steps as functions: group elements, derivatives and threads."""
 
 import dataclasses
 import math
@@ -12,6 +12,7 @@ from digests.schemes_under_test import COMPOSED, EXAMPLES, serves
 from drawn_matrices import wide
 from energies import pulsed
 from own_schemes import OwnKahan
+from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -38,6 +39,30 @@ def setup(name, sign=-1):
     return s, np.linspace(-0.5, 0.75, s.dim)
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", ["e(3)", "so(4)", "sl(2)", "A3,7", "driven so(4)"])
+def test_group_element_of_a_step(name):
+    s, x = setup(name)
+    step = co.stepper(s, co.Splitting(order=2), 0.25)
+    K, y = step.group(x, attitude="coadjoint"), step(x)
+    assert np.abs(K @ y - x).max() <= 64 * s.dim * U * np.linalg.norm(K) * np.linalg.norm(y)
+    g = step.group(x)
+    assert g.shape == s.representation.shape[1:]
+    assert np.array_equal(g, step.group(x, attitude=True))
+    for i, rho in enumerate(s.representation):  # the representation of K: g rho(Ad) = rho g
+        moved = np.einsum("k,kab->ab", K[i], s.representation)
+        assert np.abs(g @ moved - rho @ g).max() <= 256 * U * np.linalg.norm(K) * np.linalg.norm(g)
+
+
+def test_blow_up_is_an_error():
+    s = co.LiePoissonSystem(
+        co.algebras.get("A3,7", a=2.0), co.Quadratic([[1.0, 0.3, 0], [0.3, -2.0, 0.1], [0, 0.1, 0.5]])
+    )
+    with pytest.raises(co.IntegrationError) as failure:
+        co.stepper(s, co.Splitting(), 1e3)(np.array([1.0, 2.0, 3.0]))
+    assert failure.value.step == 1
+
+
 STEERED = co.systems.rigid_body(inertia=(1, 2, 2.5)), {"rotors": (2, 0)}
 
 
@@ -54,6 +79,29 @@ def test_derivatives_belong_to_the_caller(method, name):
     assert np.array_equal(first, kept)
     first[:] = 7.0
     assert np.array_equal(derivative(states[0], rotors=(0.1, -0.2)), kept)
+
+
+def fading(x, t, tau):
+    """A damping that depends on time."""
+    return x * np.exp(-tau - np.sin(t + tau) + np.sin(t))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
+def test_derivatives_of_a_step_are_those_at_its_time(method):
+    damped = STEERED[0].with_forces(co.forces.OwnForce(fading))
+    x, u, e = np.array([1.0, 0.2, 0.5]), np.array([0.1, -0.2]), 2.0**-7
+    for t, system, h in ((0.0, damped, 0.25), (2.0, damped, 0.25), (-3.0, damped, -0.25), (1.0, STEERED[0], -0.25)):
+        step = co.stepper(system, method, h, inputs=STEERED[1])
+
+        def difference(after):
+            """Of order 4, with an error of some e^4 and U / e."""
+            return (8 * (after(e) - after(-e)) - (after(2 * e) - after(-2 * e))) / (12 * e)
+
+        by_x = [difference(lambda by, v=v, t=t, step=step: step(x + by * v, t, rotors=u)) for v in np.eye(3)]
+        by_u = [difference(lambda by, v=v, t=t, step=step: step(x, t, rotors=u + by * v)) for v in np.eye(2)]
+        np.testing.assert_allclose(step.tangent(x, t, rotors=u), np.transpose(by_x), rtol=0, atol=8 * e**4)
+        np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)
 
 
 WAVES = co.Separable(dict.fromkeys((0, 2), pulsed(3.0)))
