@@ -16,9 +16,9 @@ pytestmark = pytest.mark.thinned(3)
 
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-12)
 SPLITTINGS = tuple(co.Splitting(order=p) for p in (2, 4, 6, 8, 10))
-# The error is aimed at a third of the accuracy or more, at its largest in the last eighth or half of the run; at the end
-# it may be a tenth of that, where the motion is slow, and another tenth is left to steps that follow from an order not
-# yet reached.
+# The error is aimed at a third of the accuracy or more, at its largest in the last eighth or half of the run; at the
+# end it may be a tenth of that, where the motion is slow, and another tenth is left to steps that follow from an order
+# not yet reached.
 WASTE = 300.0
 # A few roundings of a state and of its reference.
 ROUNDING = 32 * 2.0**-53
