@@ -12,7 +12,6 @@ from coadjoint.methods.numerics.gauss_coefficients import (
     MAX_DECIMAL_STAGES,
     _collocation,
     _gauss_roots,
-    _in_integers,
     _radau_roots,
     extrapolation,
     gauss_legendre,
@@ -91,7 +90,7 @@ def test_the_polynomial_of_a_step_is_continued_to_the_nodes_of_the_next(stages, 
 def test_sums_in_integers_have_the_bits_of_sums_in_decimals(roots_of, stages):
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = roots_of(stages, decimal.Decimal)
-        pairs = zip(_collocation(roots), _in_integers(roots), strict=True)
+        pairs = zip(_collocation(roots), _collocation(roots, in_integers=True), strict=True)
         assert all(np.array_equal(*(np.array(one, dtype=np.float64) for one in pair)) for pair in pairs)
 
 
