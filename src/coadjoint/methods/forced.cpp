@@ -1,5 +1,6 @@
 // Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; at
 // fractions of the step for higher orders; with the account of each force.
+#include <cmath>
 #include <cstring>
 #include <memory>
 
@@ -121,7 +122,9 @@ struct Forced final : StepScheme {
         for (int64_t i = 0; i < std::min(tracked, force.table.accounts); ++i) {
             const double period = matrices ? 0.0 : constants.number_at<double>(tables.restored.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
-            add(x, dx, force.table.account + i, now - before[i]);
+            // An invariant without a value here, such as log|x| at zero, has no change either; its balance is NaN.
+            const double change = now - before[i];
+            if (std::isfinite(change)) add(x, dx, force.table.account + i, change);
         }
         return DONE;
     }

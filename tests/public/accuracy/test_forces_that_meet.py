@@ -253,3 +253,18 @@ def test_pairs_of_forces_on_systems(text, way):
                 y = method.step(forced, y, begin + way * k / steps, way / steps)
             errors.append(np.abs(y - wanted).max())
         assert errors[1] < 1e-10 or np.log2(errors[0] / errors[1]) > 1.5, (pair, errors)
+
+
+@pytest.mark.parametrize("x0", [[0.0, 0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3, 0.0, 0.4]])
+@pytest.mark.parametrize("method", [co.Splitting(), co.ExplicitRungeKutta()], ids=str)
+def test_a_casimir_without_a_value_does_not_end_a_damped_run(x0, method):
+    """log|x| at x = 0, where damping leaves it: the motion is that of DOP853, and the energy keeps its balance."""
+    algebra = co.algebras.get("A5,25", p=0.5, b=0.75)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.eye(5)))
+    damped = co.integrate(system.with_forces(co.forces.LinearDamping(0.1)), x0, (0, 1), 0.01, method)
+    rate = lambda t, x: system.structure_matrix(x) @ x - 0.1 * x  # noqa: E731
+    expected = solve_ivp(rate, (0, 1), x0, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(damped.x[-1], expected, atol=1e-4)  # of order two: 0.01^2 by rates of about one
+    deviations = damped.drift()
+    assert deviations.pop("energy") < 1e-4
+    assert np.isnan(list(deviations.values())).all()
