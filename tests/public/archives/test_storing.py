@@ -257,7 +257,8 @@ def test_copies_keep_the_given_functions(tmp_path, monkeypatch, store, kind, siz
         co.integrate_ensemble(system, states, span, STEP, method, **options, members_per_block=2)
     else:
         co.integrate(system, states, (0.5, 1.0), STEP, method, **options)
-        co.resume(path, 2.5, system=system, until=None if store == "archive" else 7)
+        with pytest.warns(UserWarning, match="without an object of Stream, an object of Energy"):
+            co.resume(path, 2.5, system=system, until=None if store == "archive" else 7)
     found = co.load(path, system=system)
     between = 0.5 * (found.t[0] + found.t[-1]) + 0.03
     for how, copied in COPIES.items():
