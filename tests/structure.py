@@ -21,15 +21,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # With slack: the next thousand lines, the next ten of what is counted. A change that raises a number says in a comment
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
-    "Python files": 400,
-    "Python lines": 95_000,
+    "Python files": 395,
+    "Python lines": 92_700,
     "longest file": 700,
-    "isinstance": 530,
+    "isinstance": 513,
     "calls by text": 9,
     "files in cycles, with calls by text and imports inside functions and for types": 70,
-    "modules behind integrate": 120,
+    "modules behind integrate": 102,
     "C++ lines": 21_000,
-    "test lines": 70_000,
+    "test lines": 68_000,
     "test files that import internals": 80,
 }
 
