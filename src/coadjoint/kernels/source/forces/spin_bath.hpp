@@ -163,11 +163,10 @@ class SpinBath {
 
     // sin(w)/w and (1 - cos(w))/w^2 for the square of w, each lane by itself.
     static INLINE void rotation_by_square(const A& square, A& first, A& second) {
-        constexpr double factorials[] = {1, 1, 2, 6, 24, 120, 720, 5040, 40320, 362880, 3628800};
         first = second = A(0.0);
         for (int k = 4; k >= 0; --k) {
-            first = fma(-square, first, A(1.0 / factorials[2 * k + 1]));
-            second = fma(-square, second, A(1.0 / factorials[2 * k + 2]));
+            first = fma(-square, first, A(INVERSE_FACTORIALS[2 * k + 1].high));
+            second = fma(-square, second, A(INVERSE_FACTORIALS[2 * k + 2].high));
         }
         const auto small = square <= A(SMALL_SQUARE);
         if (__builtin_expect(all(small), 1)) return;

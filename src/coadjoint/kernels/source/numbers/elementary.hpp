@@ -18,12 +18,11 @@ ONCE double rounded_exponential(double x, int halvings = 0);  // exp(x) / 2^halv
 ONCE double rounded_logarithm(double x);
 ONCE double rounded_angle(double y, double x);  // atan2(y, x)
 
-#if defined(COADJOINT_APART) || defined(COMPILES_ELEMENTARY)
 struct Pair {
     double high, low;  // the sum; |low| is at most half a unit in the last place of high
 };
 
-// 1/n!, 1/(2k + 1), atan(k/16), ln 2 in three parts, and the bits of 2/pi from 2^63 on.
+// 1/n!
 constexpr Pair INVERSE_FACTORIALS[] = {
     {0x1p0, 0x0p0}, {0x1p0, 0x0p0}, {0x1p-1, 0x0p0}, {0x1.5555555555555p-3, 0x1.5555555555555p-57},
     {0x1.5555555555555p-5, 0x1.5555555555555p-59}, {0x1.1111111111111p-7, 0x1.1111111111111p-63},
@@ -39,6 +38,9 @@ constexpr Pair INVERSE_FACTORIALS[] = {
     {0x1.f2cf01972f578p-80, -0x1.9ada5fcc1ab14p-135}, {0x1.3f3ccdd165fa9p-84, -0x1.58ddadf344487p-139},
     {0x1.88e85fc6a4e5ap-89, -0x1.71c37ebd1654p-143}, {0x1.d1ab1c2dccea3p-94, 0x1.054d0c78aea14p-149},
 };
+
+#if defined(COADJOINT_APART) || defined(COMPILES_ELEMENTARY)
+// 1/(2k + 1), atan(k/16), ln 2 in three parts, and the bits of 2/pi from 2^63 on.
 constexpr Pair INVERSE_ODDS[] = {
     {0x1p0, 0x0p0}, {0x1.5555555555555p-2, 0x1.5555555555555p-56},
     {0x1.999999999999ap-3, -0x1.999999999999ap-57}, {0x1.2492492492492p-3, 0x1.2492492492492p-57},
