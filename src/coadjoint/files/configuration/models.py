@@ -655,13 +655,14 @@ def _own_system(name: str, file: File) -> System:
     names = declared_names(file.name, algebra, algebra.dim)
     with section(name, "hamiltonian"):
         hamiltonian = file.hamiltonian.energy(algebra, names)
-    casimirs: dict[str, ExactPolynomial] | None = None if file.casimirs is None else {}
-    for key, polynomial in (file.casimirs or {}).items():
-        assert casimirs is not None
-        with section(name, f"casimirs.{key}"):
-            casimirs[key] = polynomial_of(polynomial, algebra.dim, names)
-    with section(name, "casimirs"):
-        LiePoissonSystem(algebra, 0 * ExactPolynomial.variable(0, algebra.dim), casimirs=casimirs)
+    casimirs: dict[str, ExactPolynomial] | None = None
+    if file.casimirs is not None:
+        casimirs = {}
+        for key, polynomial in file.casimirs.items():
+            with section(name, f"casimirs.{key}"):
+                casimirs[key] = polynomial_of(polynomial, algebra.dim, names)
+        with section(name, "casimirs"):  # their errors come from a system without energy
+            LiePoissonSystem(algebra, 0 * ExactPolynomial.variable(0, algebra.dim), casimirs=casimirs)
     with section(name, "hamiltonian"):
         sign = 1 if file.sign is None else file.sign
         return LiePoissonSystem(algebra, hamiltonian, sign=sign, casimirs=casimirs, name=file.name)
