@@ -101,7 +101,9 @@ def latex(text: str) -> list[str] | None:
 
 
 def _is_name(text: str) -> bool:
-    """Whether a text is a name or a call of a function of Python."""
+    """Whether a text is a name, an operator, or a call of a function of Python."""
+    if text in FUNCTIONS or not any(map(str.isalnum, text)):
+        return True
     call = CALL.fullmatch(text)
     return call is not None and call[1] not in {*GREEK, *FUNCTIONS, "sum"}
 

@@ -26,7 +26,7 @@ SET = {
 CODE = (
     "exact(x0, t)", "sol.x", "stages=1", "x0", "grad", "run_failed", "casimir_<name>", "(H_i, dH_i)", "dim - rank",
     "constants[i, j, k]", "y = x[coordinates]", '"|x|^2"', "A = g[:3, :3]", "casimirs(max_degree)",
-    "integrate(..., t_eval=times)",
+    "integrate(..., t_eval=times)", "sqrt", "^",
 )  # fmt: skip
 
 
