@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SEED, sample_points
 from coadjoint.errors import in_one_line
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
@@ -240,7 +241,7 @@ def gradient_of(term: FunctionTerm) -> TracedFunction:
 
     def reference() -> Reference:
         compiled = compiled_derivative(term, "gradient", what)
-        if compiled.address > 0:
+        if isinstance(compiled, CompiledFunction):
             return partial(compiled.values, results=len(term.coordinates))
         # A table, of a function of this library.
         return lambda y, t: np.ravel(term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ())))

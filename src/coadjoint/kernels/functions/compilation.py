@@ -14,6 +14,8 @@ import types
 import warnings
 from collections import namedtuple
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache, partial
 from typing import Any
 
 import numba
@@ -21,39 +23,32 @@ import numpy as np
 from numba import carray
 from numba import types as numba_types
 from numba.extending import intrinsic, overload_method
+from numpy.typing import NDArray
 
 from coadjoint.interruption import deferred
-from coadjoint.kernels.functions.contents import cells_of, contents_of, global_reads, is_known, is_own
+from coadjoint.kernels.functions.contents import contents_of, lifted_contents
+from coadjoint.kernels.functions.copies import POINTER, called_in_machine_code, store
+from coadjoint.kernels.functions.machine_code import MachineCode, stored_or_compiled
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
 from coadjoint.systems.user_functions import MultipleOf
 
-POINTER = numba_types.CPointer(numba_types.float64)
-SIGNATURE = numba_types.void(POINTER, numba_types.float64, POINTER)
-# Number of compiled functions that are kept; the oldest one is dropped for the next.
-MAX_CACHED = 4096
+SIGNATURE = numba_types.void(POINTER, numba_types.float64, POINTER, POINTER)
+NO_CONSTANTS = np.zeros(0)
 _COMPILED: dict[Any, Any] = {}
-_FRESH: dict[str, Any] = {}
+_CONSTANT: dict[str, bool] = {}
+"""Digests of functions whose constants are compiled into their machine code."""
 _warned: set[str] = set()
 
 
 def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callable[[], Any]) -> Any:
     """Return the cached result of `make`, valid while `value` and everything its functions read are unchanged. Values
-    that cannot be compared are compiled again on each call, with a warning. An interrupt waits for `make`: if it ended
-    a generator of Numba's registries, Numba would compile nothing more in this process.
+    that cannot be compared are compiled again on each call, with a warning.
     """
     digest, unknown = contents_of(value)
-    key = digest, options
-    if not unknown and key in _COMPILED:
-        return _COMPILED[key]
-    stage = f"the machine code of {what} by Numba"
-    note_progress(stage)  # before and after, so that the time is that of this stage
-    with deferred():
-        result = make()
-    note_progress(stage)
     if not unknown:
-        _cache(_COMPILED, key, result)
-    elif what not in _warned:
+        return _cached((digest, options), what, make)
+    if what not in _warned:
         _warned.add(what)
         warnings.warn(
             f"{what} is compiled again whenever it is prepared, since some values it reads cannot be compared: "
@@ -61,94 +56,89 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
             UserWarning,
             stacklevel=2,
         )
+    return _made(what, make)
+
+
+def _cached(key: Any, what: str, make: Callable[[], Any]) -> Any:
+    if key not in _COMPILED:
+        store(_COMPILED, key, _made(what, make))
+    return _COMPILED[key]
+
+
+def _made(what: str, make: Callable[[], Any]) -> Any:
+    """Return the result of `make`. An interrupt waits for it: if it ended a generator of Numba's registries, Numba would
+    compile nothing more in this process.
+    """
+    stage = f"the machine code of {what} by Numba"
+    note_progress(stage)  # before and after, so that the time is that of this stage
+    with deferred():
+        result = make()
+    note_progress(stage)
     return result
 
 
-def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
-    while len(cache) >= MAX_CACHED:
-        del cache[next(iter(cache))]
-    cache[key] = value
-
-
-def _fresh(value: Any, made: dict[int, Any], attributes: frozenset[str] = frozenset(), compiles: bool = False) -> Any:
-    """Return a value whose dispatchers have no machine code, which may be older than what they read; if `compiles`,
-    plain functions become dispatchers.
+def callback_with_constants(
+    function: Any, options: tuple[Any, ...], timed: bool, what: str, make: Callable[[Any, Any], Any]
+) -> tuple[MachineCode, NDArray[np.float64]]:
+    """Return a callback, and the constants that are its last argument. `make` compiles it from a function and an
+    intrinsic that calls it with a state, a time and the constants.
     """
-    if id(value) in made:
-        return made[id(value)][1]
-    if type(value) is tuple:
-        return tuple(_fresh(entry, made, attributes, compiles) for entry in value)
-    if isinstance(value, types.ModuleType) and not is_known(value.__name__):
-        module = types.ModuleType(value.__name__)
-        made[id(value)] = value, module
-        held = vars(value)
-        vars(module).update(
-            {**held, **{name: _fresh(held[name], made, attributes) for name in attributes & held.keys()}}
-        )
-        return module
-    if isinstance(value, types.FunctionType) and compiles:
-        value = numba.njit(value, error_model="numpy")
-    if not isinstance(value, numba.core.dispatcher.Dispatcher):
-        return value
-    digest, unknown = contents_of(value)
-    if unknown or digest not in _FRESH:
-        copy = _unfilled_copy(value.py_func)
-        new: Any = type(value)(copy, value.locals, value.targetoptions)
-        made[id(value)] = value, new  # before it is filled, since it may call itself
-        _fill(copy, value.py_func, made)
-        if not value._can_compile:
-            for signature in value.nopython_signatures:
-                new.compile(signature)
-            new.disable_compile()
-        if unknown:
-            return new
-        _cache(_FRESH, digest, new)
-    return _FRESH[digest]
+    function = without_multiples_of(function, timed)
+    contents = lifted_contents(function)
+    if len(contents.constants) and not contents.unknown and contents.digest not in _CONSTANT:
+
+        def lifted() -> Any:
+            return make(called_in_machine_code(function, contents.places), attempting(*((0, 1, 2) if timed else (0, 2))))
+
+        key = contents.digest, options
+        with suppress(Exception):  # Numba raises exceptions of many types; what it refuses for another reason, it says below
+            return _cached(key, what, partial(stored_or_compiled, key, lifted)), contents.constants
+        store(_CONSTANT, contents.digest, True)
+
+    def constant() -> Any:
+        return make(called_in_machine_code(function), attempting(*((0, 1) if timed else (0,))))
+
+    def code() -> MachineCode:
+        digest, unknown = contents_of(function)
+        return MachineCode.of(constant()) if unknown else stored_or_compiled((digest, options), constant)
+
+    return compile_cached(function, options, what, code), NO_CONSTANTS
 
 
-def _unfilled_copy(function: types.FunctionType) -> types.FunctionType:
-    cells = tuple(types.CellType() for _ in function.__closure__ or ()) or None
-    names = dict(function.__globals__)
-    copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
-    copy.__kwdefaults__, copy.__qualname__ = function.__kwdefaults__, function.__qualname__
-    return copy
-
-
-def _fill(copy: types.FunctionType, function: types.FunctionType, made: dict[int, Any]) -> types.FunctionType:
-    """Set the globals and cells of a copy to those of a function, with fresh dispatchers."""
-    names, attributes = global_reads(function.__code__)
-    for name in function.__globals__.keys() & {*names}:
-        copy.__globals__[name] = _fresh(function.__globals__[name], made, attributes)
-    held = cells_of(function)
-    for name, cell in zip(function.__code__.co_freevars, copy.__closure__ or (), strict=True):
-        if name in held:
-            cell.cell_contents = _fresh(held[name], made, attributes, is_own(function.__module__ or ""))
-    return copy
+def without_multiples_of(function: Any, timed: bool) -> Any:
+    """Return a `MultipleOf` a function as a function, of which the factor is a constant."""
+    if not isinstance(function, MultipleOf):
+        return function
+    inner, factor = without_multiples_of(function.function, timed), function.factor
+    if isinstance(inner, types.FunctionType):
+        inner = numba.njit(boundscheck=True, error_model="numpy")(inner)
+    if function.scalar:
+        return (lambda x, t: factor * inner(x, t)) if timed else (lambda x: factor * inner(x))
+    return (lambda x, t: factor * np.asarray(inner(x, t))) if timed else (lambda x: factor * np.asarray(inner(x)))
 
 
 def callback_of(
     function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
-) -> Any:
-    """Return a function as a C callback; TypeError with the reason of Numba if it cannot be compiled."""
+) -> tuple[MachineCode, NDArray[np.float64]]:
+    """Return a function as a C callback, and the constants that are its last argument; TypeError with the reason of
+    Numba if it cannot be compiled.
+    """
+    make = partial(_compiled, size, results, scalar, flat)
+    try:
+        return callback_with_constants(function, (size, results, scalar, flat, timed), timed, what, make)
+    except Exception as error:  # Numba raises exceptions of many types
+        raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
 
-    def make() -> Any:
-        try:
-            return _compiled(function, size, results, scalar, flat, timed)
-        except Exception as error:  # Numba raises exceptions of many types
-            raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
 
-    return compile_cached(function, (size, results, scalar, flat, timed), what, make)
-
-
-def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner, is_array = called_in_machine_code(function), flat and not scalar
+def _compiled(size: int, results: int, scalar: bool, flat: bool, inner: Any, attempt: Any) -> Any:
+    is_array = flat and not scalar
     count = results if is_array else 1
 
-    def call(y: Any, t: float, out: Any) -> None:  # Numba compiles only the branches of these arguments
+    def call(y: Any, t: float, out: Any, constants: Any) -> None:  # Numba compiles only the branches of these arguments
         for k in range(count):
             out[k] = np.nan  # stops the run if the function raises
         x = y[0] if scalar else carray(y, (size,))
-        succeeded, value = attempt(inner, x, t) if timed else attempt(inner, x)
+        succeeded, value = attempt(inner, x, t, constants)
         if succeeded:
             if is_array:
                 values = np.asarray(value).ravel()
@@ -160,51 +150,35 @@ def _compiled(function: Callable[..., Any], size: int, results: int, scalar: boo
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(call)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def attempt(context: Any, function: Any, *arguments: Any) -> Any:
-    """Call a compiled function; return whether it has not raised, and its result. Numba compiles a block of `try` in
-    half as much time again as the whole callback without it.
+@cache
+def attempting(*chosen: int) -> Any:
+    """Return an intrinsic that calls a compiled function with some of its arguments; it returns whether the function has
+    not raised, and the result. Numba compiles a block of `try` in half as much time again as a callback without it.
     """
-    signature = function.get_call_type(context, arguments, {})
-    result = numba_types.Tuple((numba_types.boolean, signature.return_type))
 
-    def generate(target: Any, builder: Any, _: Any, values: Any) -> Any:
-        compiled = function.dispatcher.get_compile_result(signature)
-        target.active_code_library.add_linking_library(compiled.library)
-        given = [builder.extract_value(values[1], k) for k in range(len(arguments))]
-        for k, wanted in enumerate(signature.args):
-            if isinstance(wanted, numba_types.StarArgTuple | numba_types.StarArgUniTuple):
-                given[k:] = [target.make_tuple(builder, wanted, given[k:])]
-            elif k < len(arguments):
-                given[k] = target.cast(builder, given[k], arguments[k], wanted)
-            else:
-                given.append(None)  # a default
-        status, value = target.call_internal_no_propagate(builder, compiled.fndesc, signature, given)
-        return target.make_tuple(builder, result, (status.is_ok, value))
+    @intrinsic  # type: ignore[untyped-decorator]
+    def attempt(context: Any, function: Any, *arguments: Any) -> Any:
+        passed = tuple(arguments[k] for k in chosen)
+        signature = function.get_call_type(context, passed, {})
+        result = numba_types.Tuple((numba_types.boolean, signature.return_type))
 
-    return result(function, numba_types.StarArgTuple(arguments)), generate
+        def generate(target: Any, builder: Any, _: Any, values: Any) -> Any:
+            compiled = function.dispatcher.get_compile_result(signature)
+            target.active_code_library.add_linking_library(compiled.library)
+            given = [builder.extract_value(values[1], k) for k in chosen]
+            for k, wanted in enumerate(signature.args):
+                if isinstance(wanted, numba_types.StarArgTuple | numba_types.StarArgUniTuple):
+                    given[k:] = [target.make_tuple(builder, wanted, given[k:])]
+                elif k < len(passed):
+                    given[k] = target.cast(builder, given[k], passed[k], wanted)
+                else:
+                    given.append(None)  # a default
+            status, value = target.call_internal_no_propagate(builder, compiled.fndesc, signature, given)
+            return target.make_tuple(builder, result, (status.is_ok, value))
 
+        return result(function, numba_types.StarArgTuple(arguments)), generate
 
-def called_in_machine_code(function: Any) -> Any:
-    """Return a function in the form that compiled code calls, in which no dispatcher has machine code yet."""
-    if isinstance(function, MultipleOf):
-        return _multiple(called_in_machine_code(function.function), function.factor, function.scalar)
-    if isinstance(function, types.FunctionType):
-        copy = _fill(_unfilled_copy(function), function, {})
-        return numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(copy)
-    inner = _fresh(function, {})
-    is_dispatcher = isinstance(inner, numba.core.dispatcher.Dispatcher)
-    return inner if is_dispatcher else numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: inner(*arguments))
-
-
-# Called by compiled code only, so that no Python wrappers are compiled.
-_INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-
-def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
-    if scalar:
-        return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * inner(*arguments))
-    return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * np.asarray(inner(*arguments)))
+    return attempt
 
 
 def numba_error_text(error: Exception) -> str:
@@ -317,7 +291,7 @@ def _compiled_function(
 ) -> Any:
     scheme: Any = namedtuple("Scheme", names or ("nothing",))(*(values or (0,)))
     system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
-    inner = called_in_machine_code(function)
+    inner, attempt = called_in_machine_code(function), attempting(*range(5))
 
     def call(system_numbers: Any, x: Any, t: float, h: float, out: Any) -> int:
         numbers = carray(system_numbers, (2,))

@@ -15,18 +15,12 @@ from coadjoint.systems.hamiltonians.traced_function import picklable_function, r
 
 
 class KernelFunction:
-    """A function that the kernels call by its `address`, that of machine code, or evaluate from a table; the object
+    """A function that the kernels call by its `address`, of a function of C or the negative one of a table; the object
     keeps what is there alive. `remade` returns the arguments of its pickle, if it has one.
     """
 
     def __init__(self, address: int, held: Any, remade: Callable[[], tuple[Any, ...]] | None = None) -> None:
         self.address, self._held, self.remade = address, held, remade
-
-    def values(self, y: Any, t: float, results: int) -> Any:
-        """Return so many values at numbers y and a time; of a function with machine code, not of a table."""
-        numbers, found = np.array(y, dtype=np.float64), np.empty(results)
-        CALLBACK(self.address)(numbers.ctypes.data, t, found.ctypes.data)
-        return found
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that make the function again in another process."""
@@ -35,18 +29,42 @@ class KernelFunction:
         return self.remade()
 
 
+COMPILED = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
+"""A function of (y, t) and of constants, whose values are written to the third address."""
+_RECORDS: dict[tuple[int, bytes], Any] = {}
+
+
+class CompiledFunction(KernelFunction):
+    """Machine code and its constants, as a table of both addresses; equal ones have the same table."""
+
+    def __init__(self, code: Any, constants: Any, remade: Callable[[], tuple[Any, ...]]) -> None:
+        key = code.address, constants.tobytes()
+        if key not in _RECORDS:
+            while len(_RECORDS) >= MAX_RECORDS:
+                del _RECORDS[next(iter(_RECORDS))]
+            _RECORDS[key] = (ctypes.c_int64 * 2)(code.address, constants.ctypes.data), code, constants
+        held = table, _, _ = _RECORDS[key]
+        super().__init__(-ctypes.addressof(table) - 2, held, remade)
+
+    def values(self, y: Any, t: float, results: int) -> Any:
+        """Return so many values at numbers y and a time."""
+        (code, constants), numbers, found = self._held[0], np.array(y, dtype=np.float64), np.empty(results)
+        COMPILED(code)(numbers.ctypes.data, t, found.ctypes.data, constants)
+        return found
+
+
 def compiled_function(
     function: Callable[..., Any], size: int, results: int, *, scalar: bool, flat: bool, timed: bool, what: str
-) -> KernelFunction:
+) -> CompiledFunction:
     """Compile a user function of `size` numbers y, or of one if `scalar`, and the time if `timed`; it returns a number,
     or if `flat` an array of `results` numbers.
     """
     require_packages(f"{what}, a Python function,", "numba")
     from coadjoint.kernels.functions.compilation import callback_of
 
-    callback = callback_of(function, size, results, scalar, flat, timed, what)
+    code, constants = callback_of(function, size, results, scalar, flat, timed, what)
     others = size, results, scalar, flat, timed, what
-    return KernelFunction(callback.address, callback, lambda: (_recompiled, (picklable_function(function), *others)))
+    return CompiledFunction(code, constants, lambda: (_recompiled, (picklable_function(function), *others)))
 
 
 def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
@@ -91,6 +109,7 @@ class CalledInPython(KernelFunction):
 
 
 MAX_WARNED = 256
+MAX_RECORDS = 65536
 _WARNED: dict[Any, Any] = {}
 
 

@@ -18,9 +18,10 @@ from dataclasses import fields, is_dataclass
 from datetime import date, timedelta
 from decimal import Decimal
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.caching import cached_if_small
@@ -55,6 +56,36 @@ def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]
     return walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown))
 
 
+class Place(NamedTuple):
+    """Where numbers of a function stand among the constants: at `offset`, as "float", "tuple" or "array" of a shape."""
+
+    offset: int
+    kind: str
+    shape: tuple[int, ...]
+
+
+class LiftedContents(NamedTuple):
+    """The digest of functions for any values of the floats that they close over or have as defaults, and the values;
+    `places` are those of each function, by its id and by names; `unknown` names the parts without a digest.
+    """
+
+    digest: str
+    unknown: tuple[str, ...]
+    constants: NDArray[np.float64]
+    places: dict[int, dict[str, Place]]
+
+
+def lifted_contents(value: Any) -> LiftedContents:
+    """Return the digest of a value apart from the floats that functions in it close over or have as defaults."""
+    walk = _Digester(False, lifts=True)
+    try:
+        walk.add(value)
+    except RecursionError:
+        walk.give_up("objects in objects, too deep to be followed")
+    constants = np.concatenate([np.zeros(0), *walk.constants])
+    return LiftedContents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)), constants, walk.places)
+
+
 def compilation_key(function: Any) -> Any:
     """Return a key that is equal for functions that compile to the same code; a unique object if that is unknown."""
     digest, unknown = contents_of(function)
@@ -64,8 +95,11 @@ def compilation_key(function: Any) -> Any:
 class _Digester:
     """One traversal: functions and objects are numbered in order of first visit, data are added by content."""
 
-    def __init__(self, written: bool) -> None:
+    def __init__(self, written: bool, lifts: bool = False) -> None:
         self.digest, self.unknown, self.written = hashlib.blake2b(digest_size=32), list[str](), written
+        self._lifts, self._count = lifts, 0
+        self.constants: list[NDArray[np.float64]] = []
+        self.places: dict[int, dict[str, Place]] = {}
         self._visited: dict[int, tuple[int, Any]] = {}  # with the objects, so that no id is used again
 
     def update(self, *words: Any) -> None:
@@ -76,6 +110,17 @@ class _Digester:
         """Name a part that cannot be followed; it has no parts."""
         self.unknown.append(what)
         return ["unknown", what]
+
+    def lifted(self, function: types.FunctionType, name: str, value: Any) -> Any:
+        """Return a value that a function reads, or the kind and shape of one that is a constant."""
+        kind = _kind_of_constant(value) if self._lifts else None
+        if kind is None:
+            return value
+        numbers = np.array(value, dtype=np.float64)
+        self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
+        self.constants.append(numbers.ravel())
+        self._count += numbers.size
+        return "constant", kind, numbers.shape
 
     def add(self, value: Any) -> None:
         """Add a value by its content."""
@@ -159,9 +204,12 @@ def _parts_of_function(function: types.FunctionType, walk: _Digester) -> list[An
         except (OSError, TypeError):
             text = walk.give_up(f"the source of {function.__qualname__}")
     parts = [f"{module}.{function.__qualname__}" if is_known(module) else text]
-    parts += [function.__defaults__, sorted((function.__kwdefaults__ or {}).items())]
     names, attributes = global_reads(code)
-    read = list(cells_of(function).items())
+    defaults, cells = defaults_of(function), cells_of(function)
+    if not is_known(module):
+        defaults, cells = ({k: walk.lifted(function, k, v) for k, v in of.items()} for of in (defaults, cells))
+    parts += [function.__defaults__ and tuple(defaults.values()), sorted((function.__kwdefaults__ or {}).items())]
+    read = list(cells.items())
     if not is_known(module) and not is_own(module):
         read += [(name, held[name] if name in held else sys.modules.get(name)) for name in names]
         if dynamic := DYNAMIC_BUILTINS.intersection(names) - held.keys():
@@ -194,6 +242,22 @@ def cells_of(function: types.FunctionType) -> dict[str, Any]:
         with contextlib.suppress(ValueError):
             found[name] = cell.cell_contents
     return found
+
+
+def defaults_of(function: types.FunctionType) -> dict[str, Any]:
+    """Return the values of arguments that may be omitted, by name."""
+    values, code = function.__defaults__ or (), function.__code__
+    return dict(zip(code.co_varnames[code.co_argcount - len(values) : code.co_argcount], values, strict=True))
+
+
+def _kind_of_constant(value: Any) -> str | None:
+    """Return the kind of a float, or of a tuple or an array of floats, and None for other values."""
+    if type(value) in (float, np.float64):
+        return "float"
+    if type(value) is tuple and value and all(type(one) is float for one in value):
+        return "tuple"
+    is_array = type(value) is np.ndarray and value.dtype == np.float64 and value.ndim and value.size
+    return "array" if is_array and value.flags.c_contiguous else None
 
 
 def is_own(module: str) -> bool:

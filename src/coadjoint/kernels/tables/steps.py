@@ -6,13 +6,13 @@ import ctypes
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CALLBACK, CalledInPython, warn_once
+from coadjoint.kernels.functions.compiled_functions import CALLBACK, CalledInPython, CompiledFunction, warn_once
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
@@ -296,24 +296,22 @@ def stream_function(stream: FunctionStream, shape: tuple[int, int], complex_entr
 def _compiled_stream(
     function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
 ) -> Any:
-    from coadjoint.kernels.functions.compilation import compile_cached
+    from coadjoint.kernels.functions.compilation import callback_with_constants
 
     options = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
     name = f"the stream {getattr(function, '__name__', type(function).__name__)}"
-    return compile_cached(
-        function, options, name, lambda: _adapted_stream(function, N, complex_entries, timed, traceless)
-    )
+    make = partial(_adapted_stream, N, complex_entries, traceless)
+    return CompiledFunction(*callback_with_constants(function, options, timed, name, make))
 
 
 def _adapted_stream(
-    function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
+    N: int, complex_entries: bool, traceless: tuple[tuple[int, int], ...], inner: Any, attempt: Any
 ) -> Any:
     import numba
     from numba import carray
 
-    from coadjoint.kernels.functions.compilation import SIGNATURE, attempt, called_in_machine_code
+    from coadjoint.kernels.functions.compilation import SIGNATURE
 
-    inner: Any = called_in_machine_code(function)
     blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)
 
     @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
@@ -326,24 +324,24 @@ def _adapted_stream(
             for i in range(first, last):
                 matrix[i, i] -= mean
 
-    def of_complex(W: Any, t: float, P: Any) -> None:
+    def of_complex(W: Any, t: float, P: Any, constants: Any) -> None:
         out = carray(P, (2 * N * N,))
         out[:] = np.nan
         matrix = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
         centre(matrix)
-        succeeded, result = attempt(inner, matrix, t) if timed else attempt(inner, matrix)
+        succeeded, result = attempt(inner, matrix, t, constants)
         for i in range(N if succeeded else 0):
             for j in range(N):
                 value = complex(result[i, j])
                 out[2 * (i * N + j)] = value.real
                 out[2 * (i * N + j) + 1] = value.imag
 
-    def of_real(W: Any, t: float, P: Any) -> None:
+    def of_real(W: Any, t: float, P: Any, constants: Any) -> None:
         out = carray(P, (N * N,))
         out[:] = np.nan
         matrix = carray(W, (N * N,)).copy().reshape((N, N))
         centre(matrix)
-        succeeded, result = attempt(inner, matrix, t) if timed else attempt(inner, matrix)
+        succeeded, result = attempt(inner, matrix, t, constants)
         for i in range(N if succeeded else 0):
             for j in range(N):
                 out[i * N + j] = result[i, j]

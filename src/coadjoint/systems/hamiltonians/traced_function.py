@@ -8,6 +8,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from functools import partial
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -171,32 +172,53 @@ class Graph:
 
     def function(self, results: Sequence[Any], returned: str) -> Callable[..., Any]:
         """Return a function of (x) or (x, t) that computes results, in `returned` written as {0} or {array}."""
-        entries = [self.entry(result) for result in results]
-        lines = [f"    v{index} = {self._text(index)}" for index in self.needed(entries) if index not in self.numbers]
-        texts = [repr(float(self.numbers[k])) if k in self.numbers else f"v{k}" for k in entries]
+        # Floats are closed over, so that functions with others have the same text, and the same machine code.
+        entries, names = [self.entry(result) for result in results], dict[int, str]()
+        lines = [
+            f"    v{index} = {self._text(index, names)}" for index in self.needed(entries) if index not in self.numbers
+        ]
+        texts = [self._operand(k, names) if k not in self.numbers else self._float(k, names) for k in entries]
         begins = range(0, len(texts), MAX_TUPLE)
         pieces = [f"np.array(({', '.join(texts[k : k + MAX_TUPLE])},))" for k in begins]
         array = pieces[0] if len(pieces) == 1 else f"np.concatenate(({', '.join(pieces)}))"
         heading = f"def derived(x{', t' if self.timed else ''}):"
-        return _defined("\n".join([heading, *lines, f"    return {returned.format(*texts[:1], array=array)}", ""]))
+        source = "\n".join([heading, *lines, f"    return {returned.format(*texts[:1], array=array)}", ""])
+        return _defined(source, tuple(float(self.numbers[k]) for k in names))
 
-    def _text(self, index: int) -> str:
+    def _text(self, index: int, names: dict[int, str]) -> str:
         if index in self._variables:
             return self._variables[index]
-        operation = self.operations[index]
-        operands = [f"({self.numbers[k]!r})" if k in self.numbers else f"v{k}" for k in self.inputs[index]]
+        operation, inputs = self.operations[index], self.inputs[index]
+        # Exponents stay in the text: roots and small powers have their own machine code.
+        literal = self.numbers.keys() & {*inputs[1:]} if operation == "pow" else ()
+        operands = [f"({self.numbers[k]!r})" if k in literal else self._operand(k, names) for k in inputs]
         if operation == "neg":
             return f"-{operands[0]}"
         return f"np.{operation}({operands[0]})" if operation in UNARY else BINARY[operation][0].format(*operands)
 
+    def _operand(self, index: int, names: dict[int, str]) -> str:
+        """Return an operand as it is written: an integer as it is, a float by its name."""
+        number = self.numbers.get(index)
+        if number is None:
+            return f"v{index}"
+        return f"({number!r})" if isinstance(number, int) else self._float(index, names)
 
-def _defined(source: str) -> Callable[..., Any]:
-    """Define the function of a source text, which `inspect` finds like that of any other function."""
-    name = f"<derived {hashlib.blake2b(source.encode(), digest_size=8).hexdigest()}>"
-    linecache.cache[name] = len(source), None, source.splitlines(keepends=True), name
-    names: dict[str, Any] = {"np": np, "__name__": DERIVED_MODULE, "__source__": source}
-    exec(compile(source, name, "exec", dont_inherit=True), names)
-    function: Callable[..., Any] = names["derived"]
+    def _float(self, index: int, names: dict[int, str]) -> str:
+        """Return the name of a number, or the text of an integer as a float."""
+        number = self.numbers[index]
+        return repr(float(number)) if isinstance(number, int) else names.setdefault(index, f"c{len(names)}")
+
+
+def _defined(source: str, constants: tuple[float, ...]) -> Callable[..., Any]:
+    """Define the function of a source text, which `inspect` finds like that of any other function, and its floats."""
+    arguments = ", ".join(f"c{k}" for k in range(len(constants)))
+    text = f"def closed_over({arguments}):\n{indent(source, '    ')}    return derived\n"
+    name = f"<derived {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}>"
+    linecache.cache[name] = len(text), None, text.splitlines(keepends=True), name
+    names: dict[str, Any] = {"np": np, "__name__": DERIVED_MODULE}
+    exec(compile(text, name, "exec", dont_inherit=True), names)
+    function: Callable[..., Any] = names["closed_over"](*constants)
+    function.__defined__ = source, constants  # type: ignore[attr-defined]
     return function
 
 
@@ -205,7 +227,7 @@ def picklable_function(function: Any) -> Any:
     inner, multiples = without_multiples(function)
     if getattr(inner, "__module__", None) != DERIVED_MODULE:
         return function
-    return with_multiples(partial(_defined, inner.__globals__["__source__"]), multiples)
+    return with_multiples(partial(_defined, *inner.__defined__), multiples)
 
 
 def restored_function(function: Any) -> Any:

@@ -31,35 +31,46 @@ inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
     return work;
 }
 
-typedef void (*UserFunction)(const double* y, double t, double* out);
+// A function called in Python.
+typedef void (*PythonFunction)(const double* y, double t, double* out);
+
+// Machine code of a function of the user, and the numbers that it has closed over.
+struct CompiledFunction {
+    void (*code)(const double* y, double t, double* out, const double* constants);
+    const double* constants;
+
+    void operator()(const double* y, double t, double* out) const { code(y, t, out, constants); }
+};
 
 // The sum of all shares in their order; the threads of a team compute them side by side.
 ONCE void add_shares(const SharedFunction& function, const double* y, double* out);
+
+// Call the function at an address: one in Python, or, for a negative address, by its last bits a table: of
+// `CompiledFunction`, of `SharedFunction`, or of `Forms`.
+inline void call(int64_t address, const double* y, double t, double* out) {
+    const int64_t kind = -address & 3;
+    if (address >= 0)
+        reinterpret_cast<PythonFunction>(address)(y, t, out);
+    else if (kind == 2)
+        (*reinterpret_cast<const CompiledFunction*>(-address - 2))(y, t, out);
+    else if (kind == 1)
+        add_shares(*reinterpret_cast<const SharedFunction*>(-address - 1), y, out);
+    else
+        *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
+}
 
 #if defined(COADJOINT_APART) || defined(COMPILES_FIELD)
 NOINLINE void add_shares(const SharedFunction& function, const double* y, double* out) {
     const int64_t results = function.results;
     AlignedArray<double> shares(function.shares * results);
     share_blocks(function.shares, [&](int64_t first, int64_t last) {
-        for (int64_t k = first; k < last; ++k)
-            reinterpret_cast<UserFunction>(function.address)(y, double(k), shares.at + k * results);
+        for (int64_t k = first; k < last; ++k) call(function.address, y, double(k), shares.at + k * results);
     });
     for (int64_t i = 0; i < results; ++i) out[i] = shares.at[i];
     for (int64_t k = 1; k < function.shares; ++k)
         for (int64_t i = 0; i < results; ++i) out[i] += shares.at[k * results + i];
 }
 #endif
-
-// Call the function at an address: a compiled function of the user, or, for a negative address, a table: of
-// `SharedFunction` if the address is odd, otherwise of `Forms`.
-inline void call(int64_t address, const double* y, double t, double* out) {
-    if (address >= 0)
-        reinterpret_cast<UserFunction>(address)(y, t, out);
-    else if (address & 1)
-        add_shares(*reinterpret_cast<const SharedFunction*>(-address - 1), y, out);
-    else
-        *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
-}
 
 // Call a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
 template <class A, class C>

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "boundary/codes.hpp"
+#include "field/terms.hpp"
 #include "matrices/circulants.hpp"
 #include "matrices/products.hpp"
 
@@ -105,13 +106,11 @@ class DiagonalMap {
 template <class T>
 class Stream {
   public:
-    typedef void (*Function)(const double*, double, double*);
-
     // `whole`: the size, the layers, the kinds of the two maps, -1 for none, whether a constant is added, and the
     // address of a function. `numbers`: the constant, and the numbers that the maps read.
     Stream(const int64_t* whole, const double* numbers)
         : n(whole[0]), layers(whole[1]), second(whole[3] >= 0), constant(whole[4] ? numbers : nullptr),
-          function(whole[2] == BY_FUNCTION ? reinterpret_cast<Function>(whole[5]) : nullptr),
+          function(whole[2] == BY_FUNCTION ? whole[5] : 0),
           first_map(whole[2], n, numbers + offset(whole)),
           second_map(second ? whole[3] : int64_t(BY_FUNCTION), n,
                      numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)) {}
@@ -122,7 +121,7 @@ class Stream {
     bool apply(const T* X, double t, T* Y, bool upper = false) {
         const int64_t all = layers * n * n;
         if (function) {
-            function(reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
+            call(function, reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
             double nan_sum = 0.0;
             for (int64_t e = 0; e < all; ++e) nan_sum += std::abs(Y[e]) - std::abs(Y[e]);
             if (nan_sum != 0.0) return false;
@@ -150,7 +149,7 @@ class Stream {
     const int64_t n, layers;
     const bool second;
     const double* const constant;
-    const Function function;
+    const int64_t function;  // its address, or 0
     DiagonalMap<T> first_map, second_map;
 
     static int64_t offset(const int64_t* whole) {

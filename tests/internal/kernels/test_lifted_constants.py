@@ -1,0 +1,292 @@
+"""Floats that functions close over are data: others compile nothing, and the values are those of constants."""
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+import types
+
+import numba
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.functions import compilation, machine_code
+from coadjoint.kernels.functions.compiled_functions import compiled_function
+
+SIZE = 3
+X, T = np.array([0.7, -1.3, 2.1]), 0.375
+HELD = types.ModuleType("held_by_a_test")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(compilation, "_COMPILED", {})
+    monkeypatch.setattr(compilation, "_CONSTANT", {})
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """The callbacks that Numba has compiled."""
+    found, original = [], numba.cfunc
+
+    def counting(*given, **options):
+        found.append(given)
+        return original(*given, **options)
+
+    monkeypatch.setattr(numba, "cfunc", counting)
+    return found
+
+
+def values_of(function, timed=True):
+    one = compiled_function(function, SIZE, SIZE, scalar=False, flat=True, timed=timed, what="the test function")
+    return one.values(X, T, SIZE)
+
+
+def scaled(a):
+    @numba.njit(error_model="numpy")
+    def product(y, by=a + 1.0):
+        return a * y + by
+
+    return product
+
+
+def nested(a):
+    inner, other = scaled(a), scaled(2.0 * a)
+
+    @numba.njit(error_model="numpy")
+    def both(y):
+        return inner(y) - other(y) * a
+
+    return both
+
+
+def floats(a):
+    return lambda x, t: np.array([a * x[0], x[1] / a + t, a**x[2]])
+
+
+def arrays(a):
+    v, m = a * np.arange(1.0, 4.0), a * np.arange(9.0).reshape(3, 3)
+    return lambda x, t: m[1] * x + m[:, 2] + v * t + m.sum() + v[-1]
+
+
+def cubes(a):
+    c = a + np.arange(24.0).reshape(2, 3, 4)
+    return lambda x, t: c[1, :, 2] * x - c[0, 2, 1:] * t
+
+
+def tuples(a):
+    w = (a, 2.0 * a, 0.5)
+    return lambda x, t: np.array([w[0] * x[0], w[1] - x[1], w[2] + len(w)])
+
+
+def defaults(a):
+    return lambda x, t, b=a, c=2.0 * a: b * x + c
+
+
+def numpy_floats(a):
+    b = np.float64(a)
+    return lambda x, t: b * x
+
+
+def helpers(a):
+    first, second = scaled(a), nested(a + 1.0)
+    return lambda x, t: np.array([first(x[0]), second(x[1]), first(t) * a])
+
+
+def loops(a):
+    count, weights = 3, np.linspace(a, 1.0, 3)
+
+    def looped(x, t):
+        total = 0.0 * x
+        for k in range(count):
+            if x[k] > a:
+                total[k] += weights[k] * x[k]
+            else:
+                total[k] -= weights[k]
+        return total
+
+    return looped
+
+
+def lists(a):
+    return lambda x, t: np.array([a * y for y in x])
+
+
+def shared(a):
+    """The same helper is called by two functions, of which one reads the array that the other reads."""
+    v, helper = np.array([a, 1.0, -a]), scaled(a)
+
+    @numba.njit(error_model="numpy")
+    def other(y, k):
+        return helper(y) * v[k]
+
+    return lambda x, t: np.array([other(x[0], 0), helper(x[1]), v[2] * other(t, 1)])
+
+
+def renamed(a):
+    helper = scaled(a)
+
+    def function(x, t):
+        other = helper
+        return other(x[0]) * x
+
+    return function
+
+
+LIFTED = [floats, arrays, cubes, tuples, defaults, numpy_floats, helpers, loops, lists, shared, renamed]
+
+
+def in_tuples(a):
+    functions = (scaled(a), scaled(a))
+    return lambda x, t: np.array([functions[0](x[0]), x[1], functions[1](t)])
+
+
+def by_keyword(a):
+    helper = scaled(a)
+    return lambda x, t: np.array([helper(y=x[0]), helper(x[1], by=t), a])
+
+
+def given_defaults(a):
+    helper = scaled(a)
+    return lambda x, t: np.array([helper(x[0], t), helper(x[1], a), helper(x[2])])
+
+
+def star(a):
+    return lambda *both: a * both[0] + both[1]
+
+
+def integers(a):
+    n = int(8 * a)
+    return lambda x, t: n * x
+
+
+def other_layouts(a):
+    columns, single = np.asfortranarray(a * np.arange(9.0).reshape(3, 3)), np.array([a, 1.0, 2.0], dtype=np.float32)
+    return lambda x, t: columns[:, 1] * x + single * t
+
+
+def in_modules(a):
+    HELD.helper = scaled(a)
+    return lambda x, t: np.array([HELD.helper(x[0]), a, t])
+
+
+COMPILED_IN = [in_tuples, by_keyword, given_defaults, star, integers, other_layouts, in_modules]
+
+
+@pytest.mark.filterwarnings("ignore::numba.NumbaExperimentalFeatureWarning")
+@pytest.mark.parametrize("make", [*LIFTED, *COMPILED_IN])
+def test_other_constants_give_the_values_of_a_function_of_their_own(make, compiled):
+    counts = []
+    for a in (0.75, 1.5, -0.5, 0.75):
+        function = make(a)
+        assert np.array_equal(values_of(function), np.ravel(numba.njit(error_model="numpy")(function)(X, T)), True), a
+        counts.append(len(compiled))
+    assert (counts[0] == counts[-1]) == (make in LIFTED)
+    if make in LIFTED:
+        assert counts[0] == 1
+
+
+def test_a_multiple_has_its_factor_as_data(compiled):
+    energies = [co.Hamiltonian(lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0]))]
+    for factor in (0.5, 0.3):
+        energy = factor * energies[0]
+        body = co.LiePoissonSystem(co.algebras.so(3), energy)
+        found = co.integrate(body, X, (0, 0.5), 0.125, co.GaussLegendre(2)).x[-1]
+        own = co.Hamiltonian(
+            lambda x, f=factor: f * (x[0] ** 2 * x[1]), lambda x, f=factor: f * np.array([2 * x[0] * x[1], x[0] ** 2, 0])
+        )
+        alone = co.integrate(co.LiePoissonSystem(co.algebras.so(3), own), X, (0, 0.5), 0.125, co.GaussLegendre(2)).x[-1]
+        assert np.abs(found - alone).max() < 1e-15
+        if factor == 0.5:
+            first = len(compiled)
+    assert len(compiled) == first
+
+
+def test_constants_are_those_of_the_time_at_which_a_function_was_compiled():
+    v = np.array([1.0, 2.0, 3.0])
+    one = compiled_function(lambda x: v * x, SIZE, SIZE, scalar=False, flat=True, timed=False, what="f")
+    v[:] = 7.0
+    assert np.array_equal(one.values(X, T, SIZE), [1.0, 2.0, 3.0] * X)
+    assert np.array_equal(values_of(lambda x: v * x, timed=False), 7.0 * X)
+
+
+OTHER_PROCESS = """
+import json, sys, numba
+import numpy as np
+from coadjoint.kernels.functions.compiled_functions import compiled_function
+calls = []
+original = numba.cfunc
+numba.cfunc = lambda *given, **options: calls.append(given) or original(*given, **options)
+def made(a):
+    @numba.njit
+    def helper(y):
+        return np.sin(a * y) ** a
+    m = a * np.eye(3)
+    return lambda x, t: m @ x + np.linalg.solve(m + np.ones((3, 3)), x) + helper(t) + np.exp(x).reshape(3)
+found = []
+for a in json.loads(sys.argv[1]):
+    one = compiled_function(made(a), 3, 3, scalar=False, flat=True, timed=True, what="f")
+    found.append(one.values([0.1, 0.2, 0.3], 0.5, 3).tolist())
+print(json.dumps([len(calls), found]))
+"""
+
+
+def in_python(code, *numbers, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", code, json.dumps(numbers)],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+
+
+def in_another_process(*numbers, **environment):
+    return json.loads(in_python(OTHER_PROCESS, *numbers, **environment).stdout.splitlines()[-1])
+
+
+def test_another_process_compiles_nothing(tmp_path):
+    """Memory of Numba's, products of BLAS and functions of the library of mathematics are found there."""
+    (first, found), (second, again) = in_another_process(0.5, 0.25), in_another_process(0.25, 0.5)
+    assert (first, second) == (1, 0) and found == again[::-1]
+    (file,) = (tmp_path / "coadjoint").glob("*.function")
+    content = file.read_bytes()
+    # Other settings have other code, a damaged file is none, and a folder of others is not used.
+    assert in_another_process(0.5, NUMBA_OPT="1")[0] == 1
+    file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert in_another_process(0.5) == [1, found[:1]]
+    (tmp_path / "coadjoint").chmod(0o777)
+    assert in_another_process(0.5) == [1, found[:1]]
+
+
+def test_code_that_needs_what_a_process_has_not_is_compiled():
+    callback = numba.cfunc(compilation.SIGNATURE)(lambda y, t, out, constants: None)
+    content = machine_code._content_of(callback)
+    assert machine_code._loaded(content) is not None
+    size = int.from_bytes(content[:8], "little")
+    name, needed, constants = pickle.loads(content[8 : 8 + size])
+    head = pickle.dumps((name, [*needed, "no_such_symbol_anywhere"], constants))
+    assert machine_code._loaded(len(head).to_bytes(8, "little") + head + content[8 + size :]) is None
+
+
+def test_functions_that_raise_and_print_do_so_in_other_processes(tmp_path):
+    """What they raise with and print are objects of a process."""
+    code = OTHER_PROCESS.replace("    return lambda", RAISING + "    return lambda").replace("m @ x +", "raising(x) +")
+    for count in (1, 0):
+        process = in_python(code, 0.5)
+        *printed, last = process.stdout.splitlines()
+        assert printed == ["negative 0.5 [0.1 0.2 0.3]"] and json.loads(last)[0] == count
+        assert np.isnan(json.loads(last)[1]).all()
+
+
+RAISING = """    @numba.njit
+    def raising(x):
+        print("negative", a, x)
+        if x[0] < a:
+            raise ValueError("negative", x[0])
+        return x + x[:2].repeat(2)
+"""
