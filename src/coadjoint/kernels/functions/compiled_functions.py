@@ -37,7 +37,7 @@ _RECORDS: dict[tuple[int, bytes], Any] = {}
 class CompiledFunction(KernelFunction):
     """Machine code and its constants, as a table of both addresses; equal ones have the same table."""
 
-    def __init__(self, code: Any, constants: Any, remade: Callable[[], tuple[Any, ...]]) -> None:
+    def __init__(self, code: Any, constants: Any, remade: Callable[[], tuple[Any, ...]] | None = None) -> None:
         key = code.address, constants.tobytes()
         if key not in _RECORDS:
             while len(_RECORDS) >= MAX_RECORDS:

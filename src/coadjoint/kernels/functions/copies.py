@@ -212,10 +212,16 @@ def reader(place: Place) -> Any:
             def address(k: int) -> Any:
                 return builder.gep(arguments[0], [cgutils.intp_t(offset + k)])
 
+            def loaded(k: int) -> Any:
+                number_at = builder.load(address(k))
+                # Nothing that a function writes changes it, so that loops read it once.
+                number_at.set_metadata("invariant.load", builder.module.add_metadata([]))
+                return number_at
+
             if kind == "float":
-                return builder.load(address(0))
+                return loaded(0)
             if kind == "tuple":
-                return context.make_tuple(builder, found, [builder.load(address(k)) for k in range(*shape)])
+                return context.make_tuple(builder, found, [loaded(k) for k in range(*shape)])
             array, strides = make_array(found)(context, builder), 8 * np.cumprod([1, *shape[:0:-1]])[::-1]
             populate_array(
                 array,

@@ -52,6 +52,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
     # compiled to vector instructions, which round as scalar ones. Every sum has a fixed order.
     molecules, types, places, qq, repulsion, attraction, box, near, cutoff, field, shift = tables
     kinds, count, periodic = len(molecules), int(molecules.sum()), bool(box.any())
+    limited = cutoff > 0.0  # compiled into the machine code, which has the cutoff itself as data
     shares, bodies_of = number_of_shares(count), bodies_of_shares(count)
     begins, first_type = (np.concatenate([[0], np.cumsum(array)]) for array in (molecules, types))
     kind_of, first_r = np.repeat(np.arange(kinds), molecules), 9 * count
@@ -103,7 +104,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
         """Find the later molecules of a kind within the cutoff of one, and return their number."""
         n = 0
         for j in range(max(m + 1, begins[kind]), begins[kind + 1]):
-            if cutoff > 0.0:
+            if limited:
                 dx, dy, dz, px, py, pz = separation(y, m, j)
                 square = dx * dx + dy * dy + dz * dz
                 if square >= cutoff * cutoff:
@@ -146,8 +147,8 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
             if b > 0.0:
                 sixth = u * u * u
                 bare += (12.0 * a * sixth - 6.0 * b) * sixth
-            g = 2.0 * field * q - bare * u if cutoff > 0.0 else -bare * u
-            if cutoff > 0.0:
+            g = 2.0 * field * q - bare * u if limited else -bare * u
+            if limited:
                 g *= rows[W + k]
             gx, gy, gz = g * dx, g * dy, g * dz
             rows[GX + k], rows[GY + k], rows[GZ + k] = gx, gy, gz
@@ -191,7 +192,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                         q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
                         add_energies(rows, n, x, v, z, q, a, b)
                 for k in range(n):
-                    total += rows[W + k] * rows[E + k] if cutoff > 0.0 else rows[E + k]
+                    total += rows[W + k] * rows[E + k] if limited else rows[E + k]
         return total
 
     def gradient(y: Any, share: Any = ALL_SHARES) -> Any:
@@ -213,12 +214,12 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                         f[at] += fx
                         f[size + at] += fy
                         f[2 * size + at] += fz
-                        if cutoff > 0.0:
+                        if limited:
                             add_energies(rows, n, x, v, z, q, a, b)
                     for i in range(3):
                         for k in range(n):
                             f[size * i + first_site[other] + seen[k]] += rows[FX + longest * i + k]
-                for k in range(n if cutoff > 0.0 else 0):  # the slope of the switch acts on the centres
+                for k in range(n if limited else 0):  # the slope of the switch acts on the centres
                     pull, j = rows[E + k] * rows[D + k], begins[kind] + seen[k]
                     for i in range(3):
                         result[first_r + 3 * m + i] += pull * rows[CX + longest * i + k]
@@ -256,7 +257,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
             for j in range(m + 1, count):
                 dx, dy, dz, px, py, pz = separation(y, m, j)
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-                if 0.0 < cutoff <= distance:
+                if limited and cutoff <= distance:
                     continue
                 energy = 0.0 * distance
                 slope, second = np.zeros(24) + energy, np.zeros((24, 24)) + energy
@@ -277,7 +278,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                         g = 2.0 * field * q - (bare + (12.0 * a * sixth - 6.0 * b) * sixth) * u
                         h = (3.0 * bare + (168.0 * a * sixth - 48.0 * b) * sixth) * u * u
                         add_second(slope, second, d, lever, g, h, 1.0)
-                if cutoff > 0.0:
+                if limited:
                     weight, first, again = switch(distance)
                     for c in range(24):
                         for e in range(24):
