@@ -16,7 +16,7 @@ MOST_FILES = 2000
 
 
 class CodeCache:
-    """Files of one suffix in the folder ``coadjoint`` of the user's cache, created if missing; OSError: it is not safe."""
+    """Files of a suffix in the folder ``coadjoint`` of the user's cache, created if missing; OSError if unsafe."""
 
     def __init__(self, suffix: str) -> None:
         self._suffix, self._folder = suffix, _folder_of_user()
@@ -31,7 +31,7 @@ class CodeCache:
                 path.unlink(missing_ok=True)
         return None
 
-    def add(self, name: str, build: Callable[[Path], None]) -> Path:
+    def add(self, name: str, build: Callable[[Path], object]) -> Path:
         """Return a new file of this name, which `build` writes."""
         files = self._files()
         if len(files) >= MOST_FILES:

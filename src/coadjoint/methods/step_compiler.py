@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from coadjoint.code_cache import CodeCache
 from coadjoint.kernels.library import SOURCE, compiler_options, kernels, level_in_use, level_options
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.code_cache import CodeCache
 from coadjoint.private_folders import private_folder
 from coadjoint.regular_files import open_regular
 from coadjoint.short_repr import short

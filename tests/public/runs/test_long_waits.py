@@ -4,6 +4,7 @@ import itertools
 import time
 import warnings
 
+import numpy as np
 import pytest
 
 import coadjoint as co
@@ -53,6 +54,10 @@ def with_own_torque(k):
     return BODY.with_forces(co.forces.Torque(lambda x: -k * x))
 
 
+def with_braking(k):
+    return BODY.with_forces(co.forces.Torque(lambda x: -k * x * np.abs(x)))
+
+
 def own_energy(k):
     return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x: k * x @ x, lambda x: 2 * k * x))
 
@@ -60,7 +65,7 @@ def own_energy(k):
 COMPILED = {
     "a torque": lambda k: co.integrate(with_own_torque(k), X0, (0, 1), 0.5, co.Splitting()),
     "a Hamiltonian": lambda k: co.prepare(own_energy(k), co.GaussLegendre(1), 0.5),
-    "members": lambda k: co.prepare(co.batch([with_own_torque(k), with_own_torque(2 * k)]), step=0.5),
+    "members": lambda k: co.prepare(co.batch([with_braking(k), with_braking(2 * k)]), step=0.5),
 }
 
 

@@ -66,8 +66,8 @@ def _cached(key: Any, what: str, make: Callable[[], Any]) -> Any:
 
 
 def _made(what: str, make: Callable[[], Any]) -> Any:
-    """Return the result of `make`. An interrupt waits for it: if it ended a generator of Numba's registries, Numba would
-    compile nothing more in this process.
+    """Return the result of `make`. An interrupt waits for it, since it might end a generator of Numba's registries, and
+    nothing more would be compiled in this process.
     """
     stage = f"the machine code of {what} by Numba"
     note_progress(stage)  # before and after, so that the time is that of this stage
@@ -88,10 +88,12 @@ def callback_with_constants(
     if len(contents.constants) and not contents.unknown and contents.digest not in _CONSTANT:
 
         def lifted() -> Any:
-            return make(called_in_machine_code(function, contents.places), attempting(*((0, 1, 2) if timed else (0, 2))))
+            return make(
+                called_in_machine_code(function, contents.places), attempting(*((0, 1, 2) if timed else (0, 2)))
+            )
 
         key = contents.digest, options
-        with suppress(Exception):  # Numba raises exceptions of many types; what it refuses for another reason, it says below
+        with suppress(Exception):  # Numba raises exceptions of many types; those of the function are raised again below
             return _cached(key, what, partial(stored_or_compiled, key, lifted)), contents.constants
         store(_CONSTANT, contents.digest, True)
 
@@ -152,8 +154,8 @@ def _compiled(size: int, results: int, scalar: bool, flat: bool, inner: Any, att
 
 @cache
 def attempting(*chosen: int) -> Any:
-    """Return an intrinsic that calls a compiled function with some of its arguments; it returns whether the function has
-    not raised, and the result. Numba compiles a block of `try` in half as much time again as a callback without it.
+    """Return an intrinsic that calls a compiled function with some arguments; it returns whether the function has not
+    raised, and the result. Numba compiles a block of `try` in half as much time again as a callback without it.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -1,8 +1,8 @@
 """Copies of functions for Numba, without machine code that is older than what they read; constants are an argument.
 
-Numba compiles a float that a function closes over, or has as a default, into its machine code. In a copy such numbers are
-read from an array instead, whose address is one argument more, also of the functions that pass it on, so that the machine
-code serves other numbers too.
+Numba compiles a float that a function closes over, or has as a default, into its machine code. In a copy such numbers
+are read from an array instead, whose address is one argument more, also of the functions that pass it on, so that the
+machine code serves other numbers too.
 """
 
 from __future__ import annotations
@@ -97,7 +97,9 @@ class _Copies:
             module = types.ModuleType(value.__name__)
             self._made[id(value)] = value, module
             held = vars(value)
-            vars(module).update({**held, **{name: self.of(held[name], attributes) for name in attributes & held.keys()}})
+            vars(module).update(
+                {**held, **{name: self.of(held[name], attributes) for name in attributes & held.keys()}}
+            )
             return module
         if isinstance(value, types.FunctionType) and compiles:
             new = self._dispatcher(numba.njit(value, error_model="numpy"))
@@ -182,7 +184,6 @@ class _Copies:
         return copy
 
 
-
 def _python_function(value: Any) -> Any:
     return getattr(value, "py_func", value)
 
@@ -250,9 +251,7 @@ class LiftConstants(FunctionPass):  # type: ignore[misc]
     def run_pass(self, state: Any) -> bool:
         function = state.func_ir
         lifted = function.func_id.func.lifted
-        statements = [
-            one for block in function.blocks.values() for one in block.body if isinstance(one, ir.Assign)
-        ]
+        statements = [one for block in function.blocks.values() for one in block.body if isinstance(one, ir.Assign)]
         of_argument = next(one for one in statements if isinstance(one.value, ir.Arg) and one.value.name == ARGUMENT)
         functions = {
             one.target.name: lifted.called[one.value.name]

@@ -8,7 +8,6 @@ import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import llvmlite
@@ -39,24 +38,22 @@ class MachineCode:
 
 
 def stored_or_compiled(key: Any, compiled: Callable[[], Any]) -> MachineCode:
-    """Return the callback of this key, equal for equal code, from the cache of the user, or that of Numba and store it."""
-    cache, name = None, _file_name(key)
-    with suppress(OSError):  # without a folder that is safe, each process compiles its functions
+    """Return the callback of a key, equal for equal code, from the cache of the user, or that of Numba and store it."""
+    name, found = _file_name(key), None
+    try:
         cache = CodeCache(SUFFIX)
         path = cache.find(name)
         found = None if path is None else _loaded(path.read_bytes())
-        if found is not None:
-            return found
+    except OSError:  # without a folder that is safe, each process compiles its functions
+        return MachineCode.of(compiled())
+    if found is not None:
+        return found
     callback = compiled()
-    content = None if cache is None else _content_of(callback)
+    content = _content_of(callback)
     if content is not None:
         with suppress(OSError):
-            cache.add(name, lambda path: _write(path, content))
+            cache.add(name, lambda path: path.write_bytes(content))
     return MachineCode.of(callback)
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
 
 
 def _file_name(key: Any) -> str:
@@ -67,8 +64,8 @@ def _file_name(key: Any) -> str:
 
 
 def _content_of(callback: Any) -> bytes | None:
-    """Return the object code of a callback, its symbol, those that it needs, and the objects of Python that its functions
-    raise or print; None if it holds addresses of this process.
+    """Return the object code of a callback, its symbol, those that it needs, and the objects of Python that its
+    functions raise or print; None if it holds addresses of this process.
     """
     library = callback._library
     if library.has_dynamic_globals:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import KernelFunction, compiled_function
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction, KernelFunction, compiled_function
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
@@ -178,7 +178,7 @@ def compiled_force_function(
     results: int,
     what: str,
     shape: tuple[int, ...] | None = None,
-) -> KernelFunction:
+) -> CompiledFunction:
     """Compile the function of a force, as a function of `size` numbers and the time; `shape` is that of a matrix."""
     require_packages(f"{what}, a Python function,", "numba")
     adapted, timed = _adapted_arguments(function, arguments, shape), arguments != "x"
