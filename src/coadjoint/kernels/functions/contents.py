@@ -155,7 +155,7 @@ def _parts(value: Any, walk: _Digester) -> list[Any]:
         case types.FunctionType():
             return _parts_of_function(value, walk)
         case types.CodeType():
-            return [getattr(value, name) for name in CODE]
+            return [_digest_of_code(value)]
         case types.ModuleType():
             return [value.__name__]
         case types.MethodType():
@@ -192,6 +192,14 @@ def _parts(value: Any, walk: _Digester) -> list[Any]:
     held = {**(state[0] or {}), **state[1]} if isinstance(state, tuple) else state or {}
     cached = functools.cached_property, cached_if_small
     return [kind, data, *((k, v) for k, v in sorted(held.items()) if not isinstance(getattr(kind, k, None), cached))]
+
+
+@functools.lru_cache(maxsize=4096)
+def _digest_of_code(code: types.CodeType) -> str:
+    walk = _Digester(False)
+    for name in CODE:
+        walk.add(getattr(code, name))
+    return walk.digest.hexdigest()
 
 
 def _parts_of_function(function: types.FunctionType, walk: _Digester) -> list[Any]:
