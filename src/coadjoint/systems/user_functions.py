@@ -158,19 +158,6 @@ def names_of(parameters: Sequence[inspect.Parameter]) -> str:
     return f"({', '.join(one.name for one in parameters)})"
 
 
-def attitude_arguments(torque: Callable[..., Any]) -> str | None:
-    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other."""
-    parameters = parameters_of_function(torque)
-    if len(parameters) < 2 or parameters[1].name != "A":
-        if any(one.name == "A" and one.default is one.empty for one in parameters):
-            raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
-        return None
-    more = [one for one in parameters[2:] if one.default is one.empty or one.name == "t"]
-    if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
-        raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
-    return "x, A, t" if more else "x, A"
-
-
 def takes_time(function: Callable[..., Any], name: str) -> bool:
     """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise."""
     # A second argument counts as the time if it has no default, or if its name is ``t``.

@@ -283,11 +283,13 @@ def test_torques_of_the_attitude_are_refused_without_one():
             system.with_forces(torque)
     with refused(ValueError, "(2, 3)", "gravitating_bodies"):
         pair_of_bodies()[0].with_forces(co.forces.Torque(lambda x, A: x[:3]))
-    with refused(TypeError, "(x, A, t, gain)", "(x, A, t)"):
-        co.forces.Torque(lambda x, A, t, gain: x[:3])
-    for function in (lambda A, x: x[:3], lambda t, x, A: x[:3]):
-        with refused(TypeError, "A)", "give one of (x, A) or (x, A, t)"):
+    for function in (lambda x, A, t, gain: x[:3], lambda omega, A, other: omega, lambda x, A, y: x[:3]):
+        with refused(TypeError, "A, ", "x, A, omega and t"):
             co.forces.Torque(function)
+    with refused(TypeError, "omega", "no body"):
+        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3])).with_forces(
+            co.forces.Torque(lambda omega: omega)
+        )
     given = co.forces.Torque(lambda x, A, gain=2.0: gain * A[2])
     np.testing.assert_allclose(given.field(S.body(), S.body().state(), 0.0)[:3], [0.0, 0.0, 2.0])
 
@@ -295,9 +297,6 @@ def test_torques_of_the_attitude_are_refused_without_one():
 def test_the_second_argument_of_a_torque_is_the_time():
     """Messages say with what a function is called, and names of an attitude in place of A are refused."""
     for system in (S.rigid_body(), S.body()):
-        for function in (lambda t, x: -x, lambda time, x: -x):
-            with refused(TypeError, "x)", "(x, t)"):
-                system.with_forces(co.forces.Torque(function))
         for function in (lambda x, attitude: -x, lambda x, q: -x, lambda x, R: -x):
             with refused(TypeError, "second argument is the time t", "name the attitude A"):
                 system.with_forces(co.forces.Torque(function))
@@ -309,6 +308,75 @@ def test_the_second_argument_of_a_torque_is_the_time():
         S.body().with_forces(co.forces.Torque(lambda x: -x[:4]))
     with refused((TypeError, ValueError), "(t, x)", "(x, t)"):
         co.integrate(S.rigid_body(), (1, 0, 0), (0, 1), 0.1, observe={"first": lambda t, x: x[0]})
+
+
+MATRIX = np.array([[1.2, 0.1, 0.0], [0.1, 2.0, -0.2], [0.0, -0.2, 2.5]])
+BODIES = {
+    "body": (S.body(MATRIX), MATRIX),
+    "body with wheels": (S.body(MATRIX, wheels=[(0.1, 0.02, 0.0), (0.0, 0.1, 0.0)]), None),
+    "on an orbit": (S.satellite_on_orbit(MATRIX, 0.7, 0.2), MATRIX),
+    "without attitude": (S.body(MATRIX, attitude=False), MATRIX),
+    "rigid_body": (S.rigid_body(MATRIX), MATRIX),
+    "gyrostat": (S.gyrostat((1.0, 2.0, 2.5), rotors=(0.1, -0.2, 0.3)), None),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_torques_ask_for_the_angular_velocity_and_the_attitude_by_name(name):
+    """In any order, against the same field by velocities and attitudes of states, followed by a Runge-Kutta scheme."""
+    body, inertia = BODIES[name]
+    x0 = (
+        np.cos(np.arange(1.0, body.dim + 1.0)) if body.dim == 3 else body.state([0.5, 0.5, -0.5, 0.5], (0.3, -0.2, 0.5))
+    )
+    with_attitude = body.dim > 6
+    laws = {
+        lambda omega: np.array([0.1, 0.2, 0.3]) * omega: lambda x, A, w, t: np.array([0.1, 0.2, 0.3]) * w,
+        lambda t, omega: t * omega: lambda x, A, w, t: t * w,
+        lambda time, x: -time * x[:3]: lambda x, A, w, t: -t * x[:3],
+        lambda omega, x, t: x[:3] * omega[0] - t * omega: lambda x, A, w, t: x[:3] * w[0] - t * w,
+    }
+    if with_attitude:
+        laws |= {
+            lambda omega, A: A[2] * omega[1] - omega: lambda x, A, w, t: A[2] * w[1] - w,
+            lambda t, A, omega, x: t * A[1] - omega * x[0]: lambda x, A, w, t: t * A[1] - w * x[0],
+            lambda A, x: A[0] - 0.5 * x[:3]: lambda x, A, w, t: A[0] - 0.5 * x[:3],
+            lambda A: 0.3 * A[2]: lambda x, A, w, t: 0.3 * A[2],
+        }
+
+    def velocity(x):
+        return body.angular_velocity(x) if inertia is None else np.linalg.solve(inertia, x[:3])
+
+    for law, by_hand in laws.items():
+        system = body.with_forces(co.forces.Torque(law))
+
+        def slope(t, x, by_hand=by_hand):
+            A = body.attitudes(x) if with_attitude else None
+            expected = body.vector_field(x, t)
+            expected[:3] += by_hand(x, A, velocity(x), t)
+            return expected
+
+        assert np.abs(system.vector_field(x0, 0.75) - slope(0.75, x0)).max() < 1e-14
+        expected = solve_ivp(slope, (0.5, 1.0), x0, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        end = co.integrate(system, x0, (0.5, 1.0), 2.0**-7, co.Splitting(order=4)).x[-1]
+        assert np.abs(end - expected).max() < 1e-8
+        sampled = co.forces.Sampled(co.forces.Torque(law), 0.5)
+        if isinstance(body, type(S.body())) and "held" in (body.parameters or {}):
+            held = body.with_forces(sampled)
+            start = np.concatenate([x0, np.zeros(3)])
+            first = co.integrate(held, start, (0.0, 2.0**-7), 2.0**-7, co.Splitting()).x[-1, -3:]
+            expected = by_hand(x0, body.attitudes(x0) if with_attitude else None, velocity(x0), 0.0)
+            assert np.abs(first - expected).max() < 1e-14
+
+
+def test_velocities_of_several_bodies():
+    inertias = [(1.0, 2.0, 2.5), MATRIX, (1.0, 1.0, 0.0)]
+    system = S.bodies(inertias, [1.0, 2.0, 0.5], potential=lambda r, A: 0.1 * np.sum((r[0] - r[1]) ** 2))
+    rng = np.random.default_rng(5)
+    x0 = system.state(rng.normal(size=(3, 3)), angular_velocities=[(0.1, 0.2, 0.3), (0.3, -0.2, 0.1), (0.2, 0.1, 0.0)])
+    found = system.with_forces(co.forces.Torque(lambda t, omega, A: t * omega + A[:, 2])).vector_field(x0, 2.0)
+    change = (found - system.vector_field(x0, 2.0))[:36].reshape(3, 4, 3)
+    assert np.abs(change[:, 0] - 2.0 * system.angular_velocity(x0) - system.attitudes(x0)[:, 2]).max() < 1e-14
+    assert not change[:, 1:].any()
 
 
 def test_the_attitude_of_a_body_in_space_is_given_to_its_state():

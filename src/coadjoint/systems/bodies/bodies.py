@@ -29,7 +29,8 @@ from coadjoint.systems.bodies.body_systems import (
     read_vectors,
 )
 from coadjoint.systems.bodies.inertia import BodyInertia, inverse_of_moving, read_in_range, read_inertias
-from coadjoint.systems.forces.torque import PER_BODY, SAMPLE_ATTITUDE
+from coadjoint.systems.forces.angular_velocity import PER_BODY
+from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

@@ -24,7 +24,7 @@ from coadjoint.systems.bodies.inertia import (
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_motion
-from coadjoint.systems.forces.torque import PER_BODY
+from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made

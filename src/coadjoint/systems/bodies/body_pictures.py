@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.systems.forces.torque import PER_BODY
+from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import Picture
 
 MAX_DRAWN_BODIES = 8  # as many as there are colours

@@ -19,7 +19,7 @@ from coadjoint.systems.bodies.inertia import (
     moments_of_wheels,
     without_wheels,
 )
-from coadjoint.systems.forces.torque import PER_BODY
+from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
 from coadjoint.validation import read_bool, read_choice, read_finite, read_numbers, set_fields

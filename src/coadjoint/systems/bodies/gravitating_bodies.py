@@ -27,7 +27,7 @@ from coadjoint.systems.bodies.body_pictures import (
     turning_bodies,
 )
 from coadjoint.systems.bodies.inertia import anisotropic_part, check_products, read_in_range, read_inertias
-from coadjoint.systems.forces.torque import PER_BODY
+from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity

@@ -24,7 +24,7 @@ from coadjoint.systems.bodies.inertia import (
 from coadjoint.systems.closed_forms.closed_form import move_state_and_element
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, fixed_axis
 from coadjoint.systems.energy_derivatives import gradients_at
-from coadjoint.systems.forces.body_torque import velocity_map
+from coadjoint.systems.forces.angular_velocity import velocity_map
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -21,7 +21,7 @@ from coadjoint.systems.bodies.inertia import (
     read_body_inertia,
     read_in_range,
 )
-from coadjoint.systems.forces.torque import PER_BODY
+from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

@@ -11,11 +11,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_attitudes
+from coadjoint.systems.forces.angular_velocity import velocity_of
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
 from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
@@ -66,52 +67,6 @@ def check_one_body(system: Any, label: str) -> None:
             f"{label} acts on one body, and {system.name} is none; take co.systems.body or rigid_body, or write a "
             "co.forces.Torque"
         )
-
-
-@lru_cache(maxsize=1024)
-def velocity_map(system: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return W (3, dim) and w (3,) with the angular velocity W x + w, the derivative of the energy by the momentum."""
-
-    def velocity(x: Any, t: float) -> NDArray[np.float64]:
-        omega = np.asarray(system.hamiltonian.gradient(x, t))[:3]
-        # The energy in a frame that turns has its rate times the momentum along the third axis.
-        return omega if system.frame_rate is None else omega + system.frame_rate(t) * x[9:12]
-
-    with np.errstate(all="ignore"):
-        constant = velocity(np.zeros(system.dim), 0.0)
-        W = np.stack([velocity(point, 0.0) - constant for point in np.eye(system.dim)], axis=1)
-        x = sample_points(system.dim)[0]
-        expected = W @ x + constant
-        error = np.abs(velocity(x, SAMPLE_TIME) - expected).max()
-    if error > CHANGED * np.abs(expected).max():
-        raise TypeError(
-            f"the angular velocity of {system.name}, the derivative of its energy by the momentum, depends on the time "
-            "or is not linear in the state, and no force that reads it fits; write a co.forces.Torque"
-        )
-    return W, constant
-
-
-CHANGED = 2.0**-30  # relative difference of an angular velocity from a linear function that is no rounding
-
-
-def velocity_of(system: Any, *, in_frame: bool) -> Callable[..., Any]:
-    """Return the angular velocity, relative to a frame that turns or not, of (x, t), for compiled functions."""
-    W, w = velocity_map(system)
-
-    def velocity(x: Any, t: Any) -> Any:
-        omega = 0.0 * x[:3] + w
-        for i in range(W.shape[1]):
-            omega = omega + W[:, i] * x[i]
-        return omega
-
-    turning, inertial = system.frame_rate, callable_from_compiled(velocity)
-    if turning is None or not in_frame:
-        return inertial
-
-    def relative(x: Any, t: Any) -> Any:
-        return inertial(x, t) - turning(t) * x[9:12]
-
-    return callable_from_compiled(relative)
 
 
 def to_body(A: Any, v: Any) -> Any:

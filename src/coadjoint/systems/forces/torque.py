@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
     KNOWN_NAMES,
-    attitude_arguments,
     callable_from_compiled,
     check_arguments,
     kind_of_name,
@@ -27,7 +27,6 @@ from coadjoint.systems.user_functions import (
 )
 from coadjoint.validation import read_numbers, set_fields
 
-PER_BODY = 12  # L, and the three space axes seen from the body
 SAMPLE_ATTITUDE = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
 
 # Nodes and weights of the five-point Gauss-Legendre rule on (-1, 1).
@@ -143,19 +142,20 @@ def torque_vector(torque: Any, system: Any) -> NDArray[np.float64]:
 
 def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Callable[..., Any], str]:
     """Return the contribution to x' of a torque on bodies as a function of (t), (x) or (x, t), and which."""
-    return _torque_on_state(torque, arguments, system.bodies, system.dim)
+    velocities = velocities_of(system) if "omega" in arguments else None
+    return _torque_on_state(torque, arguments, system.bodies, system.dim, velocities)
 
 
 @lru_cache(maxsize=64)
 def _torque_on_state(
-    torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int
+    torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int, velocities: Any
 ) -> tuple[Callable[..., Any], str]:
     function, count = callable_from_compiled(torque), bodies[0] if bodies else 1
 
-    def attitude_of_body(x: Any) -> Any:
+    def attitude_of_body(x: Any, t: Any) -> Any:
         return x[3:PER_BODY].reshape(3, 3)
 
-    def attitudes_of_bodies(x: Any) -> Any:
+    def attitudes_of_bodies(x: Any, t: Any) -> Any:
         return np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 1:, :])
 
     def place_on_body(value: Any, result: Any) -> Any:
@@ -168,16 +168,38 @@ def _torque_on_state(
                 result[PER_BODY * k + i] = values[k, i]
         return result
 
-    attitude = callable_from_compiled(attitudes_of_bodies if bodies else attitude_of_body)
     placed = callable_from_compiled(place_on_bodies if bodies else place_on_body)
-    on_state: dict[str, Callable[..., Any]] = {
-        "t": lambda t: placed(function(t), 0.0 * t + np.zeros(dim)),  # an array of JAX if t is one
-        "x": lambda x: placed(function(x), 0.0 * x),
-        "x, t": lambda x, t: placed(function(x, t), 0.0 * x),
-        "x, A": lambda x: placed(function(x, attitude(x)), 0.0 * x),
-        "x, A, t": lambda x, t: placed(function(x, attitude(x), t), 0.0 * x),
-    }
-    return on_state[arguments], arguments.replace(", A", "")
+    if arguments == "t":
+        return lambda t: placed(function(t), 0.0 * t + np.zeros(dim)), "t"  # an array of JAX if t is one
+    attitudes = attitudes_of_bodies if bodies else attitude_of_body
+    called, which = _called_in_order(function, arguments, attitudes, velocities)
+    if which == "x":
+        return lambda x: placed(called(x), 0.0 * x), which
+    return lambda x, t: placed(called(x, t), 0.0 * x), which
+
+
+def _called_in_order(
+    function: Callable[..., Any], arguments: str, attitudes: Any = None, velocities: Any = None
+) -> tuple[Callable[..., Any], str]:
+    """Return a function of other arguments as one of (x) or (x, t), and which."""
+    values = {"x": lambda x, t: x, "t": lambda x, t: t, "A": attitudes, "omega": velocities}
+    names = arguments.split(", ")
+    first, second, third, fourth = (
+        callable_from_compiled(values[name]) for name in (*names, *["x"] * (4 - len(names)))
+    )
+    of_state: list[Callable[..., Any]] = [
+        lambda x: function(first(x, 0.0)),
+        lambda x: function(first(x, 0.0), second(x, 0.0)),
+        lambda x: function(first(x, 0.0), second(x, 0.0), third(x, 0.0)),
+    ]
+    of_time: list[Callable[..., Any]] = [
+        lambda x, t: function(first(x, t)),
+        lambda x, t: function(first(x, t), second(x, t)),
+        lambda x, t: function(first(x, t), second(x, t), third(x, t)),
+        lambda x, t: function(first(x, t), second(x, t), third(x, t), fourth(x, t)),
+    ]
+    chosen = (of_time if "t" in names else of_state)[len(names) - 1]
+    return callable_from_compiled(chosen), "x, t" if "t" in names else "x"
 
 
 def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
@@ -190,6 +212,11 @@ def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
     return y
 
 
+ON_BODIES = {"A", "omega"}
+"""Names of arguments that bodies have beside the state: the attitude and the angular velocity."""
+STATE_AND_TIME = {name: kind for kind in ("x", "t") for name in KNOWN_NAMES[kind]}
+PLAIN = "t", "x", "x, t"
+"""Arguments of functions that are called as they are."""
 ATTITUDES = ("r", "q", *KNOWN_NAMES["A"])
 """Names of a second argument that is meant to be an attitude, in small letters."""
 
@@ -212,8 +239,9 @@ class Torque(StateTorque):
         function of one is the time if it is named t or time, and the state if it is named x, y, state, momentum or, of
         a matrix, W. For a `MatrixSystem` the torque and x are matrices (N, N), and the torque lies in the algebra. For
         bodies and tops, such as ``co.systems.body``, also the torque in the frame of the body, (3,), or of k bodies
-        (k, 3). If their attitudes are in the state, a function of ``(x, A)`` or ``(x, A, t)`` returns it: x is the
-        state and A the attitude from the body to space, (3, 3) or (k, 3, 3).
+        (k, 3), of which a function may also ask for ``omega``, the angular velocity in the frame of the body, and, if
+        attitudes are in the state, for ``A``, the attitude from the body to space, (3, 3) or (k, 3, 3). Two to four of
+        ``x``, ``A``, ``omega`` and ``t`` may stand in any order.
 
     Raises
     ------
@@ -252,10 +280,17 @@ class Torque(StateTorque):
             set_fields(self, torque=read_state(self.torque, "the torque"))
 
     def _arguments(self) -> str:
-        """Return the arguments of the function: "t", "x", "x, t", "x, A" or "x, A, t"."""
-        if (of_attitude := attitude_arguments(self.torque)) is not None:
-            return of_attitude
+        """Return the arguments of the function in its order, such as "t", "x", "x, t" or "omega, A, t"."""
         parameters = parameters_of_function(self.torque)
+        required = [one for one in parameters if one.default is one.empty or one.name == "t"]
+        kinds = [one.name if one.name in ON_BODIES else STATE_AND_TIME.get(one.name, "") for one in required]
+        if all(kinds) and len({*kinds}) == len(kinds) and (len(kinds) > 1 or {*kinds} & ON_BODIES):
+            return ", ".join(kinds)
+        if {*kinds} & ON_BODIES:
+            raise TypeError(
+                f"the torque is a function of {names_of(parameters)}; give it arguments among x, A, omega and t, each "
+                "once"
+            )
         if len(parameters) > 1 and parameters[1].name.lower() in ATTITUDES:
             raise TypeError(
                 f"the torque is a function of {names_of(parameters)}; its second argument is the time t, unless it is "
@@ -290,7 +325,13 @@ class Torque(StateTorque):
         arguments = self._arguments()
         if "A" in arguments:
             check_attitude(system)
-        shape = torque_shape(system) if "A" in arguments else (system.dim,)
+        if "omega" in arguments and not hasattr(system, "bodies"):
+            raise TypeError(
+                f"the torque is a function of the angular velocity omega, and {system.name} is no body; write it as a "
+                "function of the state x"
+            )
+        of_bodies = "A" in arguments or "omega" in arguments
+        shape = torque_shape(system) if of_bodies else (system.dim,)
         value, failure = _value_at_sample(self.torque, arguments, system)
         if failure is not None:
             raise ValueError(
@@ -303,7 +344,7 @@ class Torque(StateTorque):
         if torque.shape != shape and not is_on_bodies(torque.shape, system):
             raise ValueError(
                 f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                f"{shapes_on(system) if 'A' not in arguments else shape}"
+                f"{shape if of_bodies else shapes_on(system)}"
             )
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
@@ -319,18 +360,24 @@ class Torque(StateTorque):
         """Whether it is a function of the attitude."""
         return not self.is_constant_torque and "A" in self._arguments()
 
+    def _needs_energy(self, system: Any) -> bool:
+        return not self.is_constant_torque and "omega" in self._arguments()
+
     def law_on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
             return constant_in_time(np.array(self.torque)), "t"
-        return self.on_state(system) if self.sees_attitude else (self.torque, self._arguments())
+        arguments = self._arguments()
+        return (self.torque, arguments) if arguments in PLAIN else self.on_state(system)
 
     def on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
             return constant_in_time(torque_vector(self.torque, system)), "t"
         arguments = self._arguments()
-        if hasattr(system, "bodies") and is_on_bodies(_shape_of_values(self.torque, arguments, system), system):
+        if ON_BODIES & {*arguments.split(", ")} or (
+            hasattr(system, "bodies") and is_on_bodies(_shape_of_values(self.torque, arguments, system), system)
+        ):
             return torque_on_state(self.torque, arguments, system)
-        return self.torque, arguments
+        return (self.torque, arguments) if arguments in PLAIN else _in_order(self.torque, arguments)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if self.is_constant_torque:
@@ -365,8 +412,16 @@ def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) ->
     return np.shape(_value_at_sample(torque, arguments, system)[0])
 
 
+@lru_cache(maxsize=64)
+def _in_order(torque: Callable[..., Any], arguments: str) -> tuple[Callable[..., Any], str]:
+    return _called_in_order(callable_from_compiled(torque), arguments)
+
+
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
-    if "A" in arguments:
-        A = system.attitudes(x)
-        return (x, A, t) if "t" in arguments else (x, A)
-    return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]
+    values: dict[str, Callable[[], Any]] = {
+        "x": lambda: x,
+        "t": lambda: t,
+        "A": lambda: system.attitudes(x),
+        "omega": lambda: velocities_of(system)(x, t),
+    }
+    return tuple(values[name]() for name in arguments.split(", "))
