@@ -78,19 +78,18 @@ def _made(what: str, make: Callable[[], Any]) -> Any:
 
 
 def callback_with_constants(
-    function: Any, options: tuple[Any, ...], timed: bool, what: str, make: Callable[[Any, Any], Any]
+    function: Any, timed: bool, what: str, make: Callable[[Any, Any], Any]
 ) -> tuple[MachineCode, NDArray[np.float64]]:
     """Return a callback, and the constants that are its last argument. `make` compiles it from a function and an
-    intrinsic that calls it with a state, a time and the constants.
+    intrinsic that calls it with a state, a time and the constants; equal ones are compared by what they read.
     """
     function = without_multiples_of(function, timed)
-    contents = lifted_contents(function)
+    contents, options = lifted_contents(function), (timed, contents_of(make)[0])
     if len(contents.constants) and not contents.unknown and contents.digest not in _CONSTANT:
 
         def lifted() -> Any:
-            return make(
-                called_in_machine_code(function, contents.places), attempting(*((0, 1, 2) if timed else (0, 2)))
-            )
+            passed = (0, 1, 2) if timed else (0, 2)
+            return make(called_in_machine_code(function, contents.places), attempting(*passed))
 
         key = contents.digest, options
         with suppress(Exception):  # Numba raises exceptions of many types; those of the function are raised again below
@@ -127,7 +126,7 @@ def callback_of(
     """
     make = partial(_compiled, size, results, scalar, flat)
     try:
-        return callback_with_constants(function, (size, results, scalar, flat, timed), timed, what, make)
+        return callback_with_constants(function, timed, what, make)
     except Exception as error:  # Numba raises exceptions of many types
         raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import hashlib
 import warnings
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -31,24 +33,30 @@ class KernelFunction:
 
 COMPILED = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
 """A function of (y, t) and of constants, whose values are written to the third address."""
-_RECORDS: dict[tuple[int, bytes], Any] = {}
+
+
+class CodeAndConstants:
+    """The addresses of machine code and of its constants, as the kernels read them, with what is there."""
+
+    def __init__(self, code: Any, constants: Any) -> None:
+        self.addresses, self._held = (ctypes.c_int64 * 2)(code.address, constants.ctypes.data), (code, constants)
+
+
+_RECORDS: WeakValueDictionary[tuple[int, bytes], CodeAndConstants] = WeakValueDictionary()
 
 
 class CompiledFunction(KernelFunction):
-    """Machine code and its constants, as a table of both addresses; equal ones have the same table."""
+    """Machine code with constants; functions that are equal have the same address."""
 
     def __init__(self, code: Any, constants: Any, remade: Callable[[], tuple[Any, ...]] | None = None) -> None:
-        key = code.address, constants.tobytes()
-        if key not in _RECORDS:
-            while len(_RECORDS) >= MAX_RECORDS:
-                del _RECORDS[next(iter(_RECORDS))]
-            _RECORDS[key] = (ctypes.c_int64 * 2)(code.address, constants.ctypes.data), code, constants
-        held = table, _, _ = _RECORDS[key]
-        super().__init__(-ctypes.addressof(table) - 2, held, remade)
+        key = code.address, hashlib.sha256(constants).digest()
+        self._both = _RECORDS.get(key) or CodeAndConstants(code, constants)
+        _RECORDS[key] = self._both
+        super().__init__(-ctypes.addressof(self._both.addresses) - 2, self._both, remade)
 
     def values(self, y: Any, t: float, results: int) -> Any:
         """Return so many values at numbers y and a time."""
-        (code, constants), numbers, found = self._held[0], np.array(y, dtype=np.float64), np.empty(results)
+        (code, constants), numbers, found = self._both.addresses, np.array(y, dtype=np.float64), np.empty(results)
         COMPILED(code)(numbers.ctypes.data, t, found.ctypes.data, constants)
         return found
 
@@ -109,7 +117,6 @@ class CalledInPython(KernelFunction):
 
 
 MAX_WARNED = 256
-MAX_RECORDS = 65536
 _WARNED: dict[Any, Any] = {}
 
 

@@ -8,6 +8,8 @@ import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import llvmlite
@@ -56,8 +58,15 @@ def stored_or_compiled(key: Any, compiled: Callable[[], Any]) -> MachineCode:
     return MachineCode.of(callback)
 
 
+@cache
+def _own_digest() -> str:
+    """Return a digest of the sources of this folder, which adapt functions for the kernels."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
 def _file_name(key: Any) -> str:
-    versions = numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.platform
+    versions = _own_digest(), numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.platform
     processor = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     settings = [getattr(numba.config, name, None) for name in OPTIONS]
     return hashlib.sha256(repr((key, versions, processor, settings)).encode()).hexdigest()[:40]

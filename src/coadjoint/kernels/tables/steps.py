@@ -298,10 +298,9 @@ def _compiled_stream(
 ) -> Any:
     from coadjoint.kernels.functions.compilation import callback_with_constants
 
-    options = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
     name = f"the stream {getattr(function, '__name__', type(function).__name__)}"
     make = partial(_adapted_stream, N, complex_entries, traceless)
-    return CompiledFunction(*callback_with_constants(function, options, timed, name, make))
+    return CompiledFunction(*callback_with_constants(function, timed, name, make))
 
 
 def _adapted_stream(
