@@ -23,7 +23,7 @@ from coadjoint.runs.times import Times
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""
-STRETCH_SECONDS, FIRST_STRETCH = 0.25, 64
+SEGMENT_SECONDS, FIRST_SEGMENT = 0.25, 64
 """The clock is read about every 0.25 s, at first after 64 steps."""
 TAKING_INTERVAL, TAKING_RATIO = 10.0, 20
 """A piece is taken after 10 s, or after 20 times the duration of the last time."""
@@ -108,12 +108,12 @@ class PiecewiseRun:
         It reads the points in memory, `piece`, and the state, `stored`, released afterwards: when memory is full, every
         ten seconds or less often, before an interrupt, and at the end.
         """
-        stretch, last = FIRST_STRETCH, self.run.times.steps if until is None else until
+        segment, last = FIRST_SEGMENT, self.run.times.steps if until is None else until
         taken, seconds, when = -1, 0.0, time.perf_counter()
         with progress_bar(last - self.number, progress) as bar:
             while not self.is_over and self.number < last:
                 first, began = self.number, time.perf_counter()
-                target = min(last, self.reach, first + stretch)
+                target = min(last, self.reach, first + segment)
                 try:
                     self.advance(target)
                 except KeyboardInterrupt:
@@ -122,7 +122,7 @@ class PiecewiseRun:
                     raise
                 bar(target - first)
                 now = time.perf_counter()
-                stretch = paced(target - first, now - began, STRETCH_SECONDS, 4 * stretch)
+                segment = paced(target - first, now - began, SEGMENT_SECONDS, 4 * segment)
                 if target == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
                     take(self)
                     self.release_points()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.derivatives import differentiable_run, stretches
+from coadjoint.runs.derivatives import differentiable_run, segments
 from rounding import UNIT_ROUNDOFF
 
 H, X6 = 0.125, np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
@@ -16,14 +16,14 @@ TOP = co.systems.heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.1, 0.2, 1.0))
     "method", [co.Splitting(order=4), co.Splitting(compensated=True), co.GaussLegendre(2)], ids=str
 )
 @pytest.mark.parametrize("members", [None, 3])
-def test_gradients_do_not_depend_on_stretches(method, members, monkeypatch):
+def test_gradients_do_not_depend_on_segments(method, members, monkeypatch):
     """Up to round-off: joined flows are separate where the added part is between them."""
     ready = co.prepare(TOP, method, H, attitude="coadjoint")
     x0 = X6 if members is None else X6 * np.linspace(1.0, 0.7, members)[:, None]
     found = []
     for numbers in (2**15, 42, 3 * 42):
-        monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
-        monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", numbers)
+        monkeypatch.setattr(differentiable_run, "STEPS_OF_SEGMENT", 1)
+        monkeypatch.setattr(differentiable_run, "NUMBERS_OF_SEGMENT", numbers)
         sol, pullback = ready.vjp(x0, (1.5, 0.5), t_eval=[1.5, 1.4, 1.0, 0.51])
         found.append(pullback(np.ones(sol.x.shape), attitude=np.ones(sol.attitude.shape), energy=sol.energy))
     for name, value in found[0].items():
@@ -38,26 +38,26 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
     large, steps, x1 = co.prepare(lattice, co.Splitting(), 0.01), 40, np.random.default_rng(0).standard_normal(300)
     gradients = {}
     for numbers in (2**15, 1):
-        monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", numbers)
+        monkeypatch.setattr(differentiable_run, "NUMBERS_OF_SEGMENT", numbers)
         sol, pullback = large.vjp(x1, (0.0, 0.01 * steps), save_every=steps)
-        lengths = [one.k1 - one.k0 for one in pullback._gradient.args[1].stretches]
+        lengths = [one.k1 - one.k0 for one in pullback._gradient.args[1].segments]
         assert lengths == ([40] if numbers > 1 else [16, 16, 8])
         gradients[numbers] = pullback(np.ones(sol.x.shape))["x0"]
     assert np.array_equal(gradients[1], gradients[2**15])
-    monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
-    monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 3)
+    monkeypatch.setattr(differentiable_run, "STEPS_OF_SEGMENT", 1)
+    monkeypatch.setattr(differentiable_run, "NUMBERS_OF_SEGMENT", 3)
     for size, count in ((2**25, 1000), (4800, 100)):
         monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
-        assert len(ready.vjp(x0, (0.0, 1000 * H), 1000)[1]._gradient.args[1].stretches) == count
+        assert len(ready.vjp(x0, (0.0, 1000 * H), 1000)[1]._gradient.args[1].segments) == count
     # A thousand steps of their own lengths store about a kilobyte each.
     ready = co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 300.0, attitude=True)
-    assert len(ready.vjp(x0, (0.0, 300.0))[1]._gradient.args[1].stretches) > 1024
+    assert len(ready.vjp(x0, (0.0, 300.0))[1]._gradient.args[1].segments) > 1024
 
 
 @pytest.mark.parametrize("system", [BODY, BODY.with_forces(co.forces.LinearDamping(0.1))], ids=["alone", "forced"])
 def test_equations_of_derivatives_that_are_not_solved_raise_integration_errors(system, monkeypatch):
-    """At the time of the stretch, or of the step with forces."""
-    monkeypatch.setattr(stretches, "advance_tables", lambda *_: False)
+    """At the time of the segment, or of the step with forces."""
+    monkeypatch.setattr(segments, "advance_tables", lambda *_: False)
     x0 = np.array([0.3, 1.0, 0.2])
     ready = co.prepare(system, co.GaussLegendre(2), 0.125)
     _, pullback = ready.vjp(x0, (1.0, 1.25))

@@ -16,7 +16,7 @@ from coadjoint.short_repr import record_repr
 from coadjoint.systems.system import System
 
 MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
-ROUGHEST = 2**-8  # of the size of the stages: larger corrections are not tested for round-off
+LARGEST_SAMPLED = 2**-8  # of the size of the stages: larger corrections are not sampled
 SAMPLES, SAMPLE_LENGTH, SAMPLED = 8, 3, 32  # of this test: points, iterations from each, and most times their distance
 
 
@@ -373,7 +373,7 @@ def iterate_to_stagnation(step: StageProblem, slopes_at: Callable[[NDArray[Any]]
             stagnant = stagnant + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
             if stagnant >= max(2, iteration // 4):  # slow corrections may oscillate for longer before they shrink
                 return slopes
-        if largest is not None and largest <= ROUGHEST * size and _at_roundoff(step, slopes_at, points, unit):
+        if largest is not None and largest <= LARGEST_SAMPLED * size and _at_roundoff(step, slopes_at, points, unit):
             return slopes_at(points)
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

@@ -290,15 +290,15 @@ def _through_steps(
         at_steps[point] += cotangents
         groups_at_steps[point] += group_cotangents
     cotangents, group_cotangents = np.zeros((members, n)), np.zeros((members, d, d))
-    for stretch in reversed(trajectory.stretches):
-        inside = trajectory.inside(stretch)
+    for segment in reversed(trajectory.segments):
+        inside = trajectory.inside(segment)
         if trajectory.finished:
-            # The cotangents are those of the saved step that ends the stretch.
+            # The cotangents are those of the saved step that ends the segment.
             at_steps[inside] += cotangents
             groups_at_steps[inside] += group_cotangents
             cotangents, group_cotangents = np.zeros_like(cotangents), np.zeros_like(group_cotangents)
         after = at_steps[inside], groups_at_steps[inside]
-        trajectory.backward(tables, stretch, *after, cotangents, group_cotangents, coefficients)
+        trajectory.backward(tables, segment, *after, cotangents, group_cotangents, coefficients)
     if trajectory.steps[0] == 0:
         cotangents += at_steps[0]
         group_cotangents += groups_at_steps[0]

@@ -1,4 +1,4 @@
-"""A run whose derivatives are computed: its steps and outputs, in stretches, and the tables of its scheme."""
+"""A run whose derivatives are computed: its steps and outputs, in segments, and the tables of its scheme."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.derivatives.run_tables import INPUTS, build_tables, by_linear, tables_of_members, without_inputs
-from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
+from coadjoint.runs.derivatives.segments import ONE, Segment, carry
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import check_partial_steps, resample
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-NUMBERS_OF_STRETCH = 2**15  # numbers of the states of a stretch of the members in lanes, which stay in the cache
+NUMBERS_OF_SEGMENT = 2**15  # numbers of the states of a segment of the members in lanes, which stay in the cache
 SIDE_BY_SIDE = 8  # members in the widest vectors
-STEPS_OF_STRETCH = 16  # steps of a stretch below which the allocations of a call take longer than its steps
-# Largest memory of the first states of stretches, above which these are longer, and of the states of short stretches.
+STEPS_OF_SEGMENT = 16  # steps of a segment below which the allocations of a call take longer than its steps
+# Largest memory of the first states of segments, above which these are longer, and of the states of short segments.
 BYTES_OF_CHECKPOINTS = 2**25
 
 
@@ -116,12 +116,12 @@ class DifferentiableRun:
 
 
 class Trajectory:
-    """A run that was integrated, in stretches whose first states are stored, or in one of all steps."""
+    """A run that was integrated, in segments whose first states are stored, or in one of all steps."""
 
     # Output k is `length[k]` after the step with the number steps[point[k]], and `elapsed[k]` after the start.
 
     crossings: CrossingDerivatives | None = None
-    finished = False  # whether every stretch is one step that starts from the saved state after the one before
+    finished = False  # whether every segment is one step that starts from the saved state after the one before
     saved_rows: Any = slice(None)  # outputs that are the points of the solution
     workers = threads_inside = 1  # threads, and those that may share a member
     inputs: dict[str, tuple[NDArray[np.int64], bool]]  # indices among the values, and whether members have their own
@@ -165,10 +165,10 @@ class Trajectory:
     def _take_steps(self, prepared: PreparedRun, times: Times) -> None:
         self.times, self._run = times, prepared.begun(times, self.start, self.values)
         self.workers, self.threads_inside = self._run.plan.workers, self._run.plan.inside
-        distance = self._stretch_length(prepared.scheme) if self.reverse == "exact" else max(1, times.steps)
-        self.stretches = [self._integrated(step, distance) for step in range(0, max(1, times.steps), distance)]
+        distance = self._segment_length(prepared.scheme) if self.reverse == "exact" else max(1, times.steps)
+        self.segments = [self._integrated(step, distance) for step in range(0, max(1, times.steps), distance)]
         if self.reverse == "reversible":
-            self.stretches = [self._integrated(times.steps, 0)._replace(k0=0, undone=True)]
+            self.segments = [self._integrated(times.steps, 0)._replace(k0=0, undone=True)]
         self.steps = times.saved
         self.started = times.t0 + self.steps * times.h
         self.states, self.groups = self._run.saved["x"].copy(), self._elements()
@@ -178,21 +178,21 @@ class Trajectory:
         self.length, self.point = length, np.searchsorted(self.steps, number)
         self.elapsed = number * self.times.h + length
 
-    def _integrated(self, step: int, distance: int) -> Stretch:
+    def _integrated(self, step: int, distance: int) -> Segment:
         state, last = self._run.state, min(step + distance, self.times.steps)
         # Behind the coordinates are the accounts of forces.
         momenta, errors = (state[name][:, : self.n].copy() for name in ("momenta", "errors"))
         groups, group_errors = (state[name].copy() for name in ("groups", "group_errors"))
         self._run.advance(until=last)
-        return Stretch(self.times.t0, self.times.h, step, last, momenta, errors, groups, group_errors)
+        return Segment(self.times.t0, self.times.h, step, last, momenta, errors, groups, group_errors)
 
-    def _stretch_length(self, scheme: Method) -> int:
+    def _segment_length(self, scheme: Method) -> int:
         steps, numbers = self.times.steps, self.n + self.side**2
         lanes = min(self.members, limit("MOST_LANES"))
-        # Where a stretch of an implicit scheme begins may alter the last bits, which do not depend on other members.
+        # Where a segment of an implicit scheme begins may alter the last bits, which do not depend on other members.
         side_by_side = SIDE_BY_SIDE if scheme.explicit and self.members > 1 else 1
-        length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // (numbers * side_by_side)), 16 * numbers * self.members
-        length = max(length, min(STEPS_OF_STRETCH, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
+        length, bytes_of_each = max(1, NUMBERS_OF_SEGMENT // (numbers * side_by_side)), 16 * numbers * self.members
+        length = max(length, min(STEPS_OF_SEGMENT, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
         check_available_memory(
             bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * (min(length, steps) + 1),
@@ -205,33 +205,33 @@ class Trajectory:
         stored = self._run.saved["group"]
         return stored.reshape(len(stored), self.members, self.side, self.side).copy()
 
-    def partial(self, k: int) -> Stretch:
+    def partial(self, k: int) -> Segment:
         point = self.point[k]
         momenta = np.ascontiguousarray(self.states[point, :, : self.n])
-        return Stretch.of_step(float(self.started[point]), float(self.length[k]), momenta, self.groups[point])
+        return Segment.of_step(float(self.started[point]), float(self.length[k]), momenta, self.groups[point])
 
     def with_members(self, series: Any) -> Floats:
         return np.asarray(series[:, None] if self.start.single else series)
 
     def forward(
-        self, tables: DerivativeTables, stretch: Stretch, of_x: Floats, of_groups: Floats, coefficients: Floats
+        self, tables: DerivativeTables, segment: Segment, of_x: Floats, of_groups: Floats, coefficients: Floats
     ) -> tuple[Floats, Floats]:
-        """Return tangents (points, members, ...) at the saved steps of a stretch, or after a partial step."""
-        marks, threads = self._marks(stretch), self.threads_inside
-        run = stretch.forward(of_x.copy(), of_groups.copy(), coefficients, marks=marks, threads=threads)
+        """Return tangents (points, members, ...) at the saved steps of a segment, or after a partial step."""
+        marks, threads = self._marks(segment), self.threads_inside
+        run = segment.forward(of_x.copy(), of_groups.copy(), coefficients, marks=marks, threads=threads)
         self._carry(tables, run)
         return run.at_points, run.at_groups
 
-    def backward(self, tables: DerivativeTables, stretch: Stretch, *arrays: Floats) -> None:
-        """Carry cotangents from the end of a stretch to its start, in place; `arrays` as of `Stretch.backward`."""
-        run = stretch.backward(*arrays, marks=self._marks(stretch), threads=self.threads_inside)
+    def backward(self, tables: DerivativeTables, segment: Segment, *arrays: Floats) -> None:
+        """Carry cotangents from the end of a segment to its start, in place; `arrays` as of `Segment.backward`."""
+        run = segment.backward(*arrays, marks=self._marks(segment), threads=self.threads_inside)
         self._carry(tables, run)
         self.deviation = max(self.deviation, float(run.deviations.max(initial=0.0)))
 
-    def inside(self, stretch: Stretch) -> NDArray[np.bool_]:
-        """Return which saved steps belong to a stretch of whole steps."""
-        assert stretch.before is not None
-        return (self.steps > stretch.before + stretch.k0) & (self.steps <= stretch.before + stretch.k1)
+    def inside(self, segment: Segment) -> NDArray[np.bool_]:
+        """Return which saved steps belong to a segment of whole steps."""
+        assert segment.before is not None
+        return (self.steps > segment.before + segment.k0) & (self.steps <= segment.before + segment.k1)
 
     def _structures(self, tables: DerivativeTables, h: float) -> Iterator[tuple[int, int, Any]]:
         """Yield ranges of members that share tables, with these."""
@@ -242,10 +242,10 @@ class Trajectory:
         else:
             yield from ((m, m + 1, tables.tables_at(h, one)) for m, one in enumerate(self.values))
 
-    def _marks(self, stretch: Stretch) -> NDArray[np.int64]:
-        if stretch.before is None:
+    def _marks(self, segment: Segment) -> NDArray[np.int64]:
+        if segment.before is None:
             return ONE
-        return self.steps[self.inside(stretch)] - stretch.before
+        return self.steps[self.inside(segment)] - segment.before
 
     def _carry(self, tables: DerivativeTables, run: ForwardRun | BackwardRun) -> None:
         """Carry the vectors of all members, each with its inputs, on the threads of the run."""

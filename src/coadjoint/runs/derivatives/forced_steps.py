@@ -17,7 +17,7 @@ from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
-from coadjoint.runs.derivatives.stretches import Stretch, carry
+from coadjoint.runs.derivatives.segments import Segment, carry
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -148,7 +148,7 @@ def _parameters(member: Member, j: int) -> tuple[dict[str, str], dict[str, Energ
 class _Base(NamedTuple):
     """A step of the scheme from the states and elements of its loop, those after it, and the elements before it."""
 
-    step: Stretch
+    step: Segment
     end: Floats
     after: Floats
     groups: Floats
@@ -246,7 +246,7 @@ class ForcedSteps:
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         count, side = len(x), groups.shape[1]
         elements = groups if self._attitudes is None else np.array(np.broadcast_to(np.eye(side), groups.shape))
-        step = Stretch.of_step(t, h, np.ascontiguousarray(x), np.ascontiguousarray(elements))
+        step = Segment.of_step(t, h, np.ascontiguousarray(x), np.ascontiguousarray(elements))
         times, lengths, owners = np.full(count, t), np.full(count, h), np.zeros(count, dtype=np.int64)
         end, after = self._parts[h].take(step.momenta, elements.reshape(count, -1), times, lengths, owners)
         return _Base(step, end, after.reshape(groups.shape), groups)

@@ -250,9 +250,9 @@ def _tangents_at_outputs(
     if start:
         at_points[0], at_groups[0] = of_x0, stored
     last = of_x0, stored
-    for stretch in trajectory.stretches:
-        inside = trajectory.inside(stretch)
-        at_points[inside], at_groups[inside] = trajectory.forward(tables, stretch, *last, coefficients)
+    for segment in trajectory.segments:
+        inside = trajectory.inside(segment)
+        at_points[inside], at_groups[inside] = trajectory.forward(tables, segment, *last, coefficients)
         if trajectory.finished:
             (end,) = np.flatnonzero(inside)
             last = at_points[end], at_groups[end]

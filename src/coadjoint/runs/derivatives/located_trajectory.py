@@ -13,7 +13,7 @@ from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.crossings import WatchedEvents, coordinate_of
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.stretches import Stretch
+from coadjoint.runs.derivatives.segments import Segment
 from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.times import OutputTimes, Times
@@ -70,7 +70,7 @@ class LocatedTrajectory(Trajectory):
         x, group = start.momenta.copy(), np.array(self.loops.initial_groups(start.groups)).reshape(1, -1)
         states, groups, elapsed, memory = [x], [group], [0.0], None
         lengths: list[float] = []
-        self.stretches = []
+        self.segments = []
         while True:
             length, memory = method.next_length(start.system, x[0], float(forward), memory)
             lengths.append(abs(length))
@@ -78,7 +78,7 @@ class LocatedTrajectory(Trajectory):
                 break
             t = times.t0 + elapsed[-1]
             elements, number = group.reshape(1, self.side, self.side), len(lengths) - 1
-            self.stretches.append(Stretch.of_step(float(t), float(length), x, elements, before=number))
+            self.segments.append(Segment.of_step(float(t), float(length), x, elements, before=number))
             x, group = self.parts.take(x, group, np.array([t]), np.array([length]))
             states.append(x)
             groups.append(group)

@@ -19,7 +19,7 @@ from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.sources import NO_MULTIPLES
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
-from coadjoint.runs.derivatives.stretches import StepwiseDerivatives, Stretch, carry, stepwise_derivatives
+from coadjoint.runs.derivatives.segments import Segment, StepwiseDerivatives, carry, stepwise_derivatives
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import Columns
@@ -311,7 +311,7 @@ def step_tangents(
         directions = np.zeros((count, 1 + max(inputs)))
         directions[np.arange(n, count), inputs] = 1.0
         coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
-    forward = Stretch.of_step(0.0, h, momenta, np.zeros((1, 0, 0))).forward(
+    forward = Segment.of_step(0.0, h, momenta, np.zeros((1, 0, 0))).forward(
         tangents, np.zeros((1, count, 0, 0)), coefficients
     )
     after, prepared_run = forward.at_points, prepared(forward)

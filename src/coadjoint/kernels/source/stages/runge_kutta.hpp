@@ -29,7 +29,7 @@ struct Stages {
     AlignedArray<Coefficient> mix, node, scale, forecast;
     Unknowns<Layout> p, g;
     AlignedArray<A> gradients, settled_gradients, frozen, times, lengths, matrices;
-    AlignedArray<V> system, pivots, right, trusted;
+    AlignedArray<V> system, pivots, right, untested;
     FieldWorkspace<A> workspace;
     V iterations{0.0}, residual{0.0};
 
@@ -41,7 +41,7 @@ struct Stages {
           gradients(blocks * n), settled_gradients(alone ? 0 : blocks * n),
           frozen(tables.solver >= STRUCTURE ? blocks * n : 0), times(blocks), lengths(blocks),
           matrices(tables.direct ? blocks * widest() * widest() : 0), system(edge() * edge()), pivots(edge()),
-          right(edge() * std::max<int64_t>(d, 1)), trusted(tables.substeps), workspace(field) {
+          right(edge() * std::max<int64_t>(d, 1)), untested(tables.substeps), workspace(field) {
         p.work += s * work_of(field);
         g.work += s * d * group.entries;
         Layout::lay_out(tables.mix, s, s, mix.at);
@@ -67,13 +67,13 @@ struct Stages {
         if (tables.solver == IMPLICIT) {
             save_slopes();
             p.start_extrapolated(forecast.at + part * blocks * s);
-            const V known = trusted.at[part];
-            Mask found = settle_momentum(active, known, &trusted.at[part]);
+            const V known = untested.at[part];
+            Mask found = settle_momentum(active, known, &untested.at[part]);
             if (d == 0) return found;
             g.start_extrapolated(forecast.at + part * blocks * s);
             found = settle_group(found);
             // Members that failed are solved again, alone, and trust as many iterations as if they had always been.
-            trusted.at[part] = select(found, trusted.at[part], known);
+            untested.at[part] = select(found, untested.at[part], known);
             return found;
         }
         p.start_at_base();
@@ -141,7 +141,7 @@ struct Stages {
         };
         const auto outcome = settle_by(p, active, count, n, trust, iterate,
                                        [&](const Mask& over, bool last) { store_gradients(over, last); });
-        *next = select(outcome.settled, outcome.trusted, *next);
+        *next = select(outcome.settled, outcome.untested, *next);
         return taken(outcome);
     }
 
@@ -152,7 +152,7 @@ struct Stages {
             body.template iterate<decltype(watched)::value>(s);
         };
         const auto outcome = settle_by(p, true, 1, Bracket::n, trust, iterate, [](const Mask&, bool) {});
-        *next = select(outcome.settled, outcome.trusted, *next);
+        *next = select(outcome.settled, outcome.untested, *next);
         return taken(outcome);
     }
 

@@ -20,7 +20,7 @@ struct SingleStages : Stages<Layout, SharedConstants> {
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
     using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
     using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
-    using Base::workspace, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::save_slopes;
+    using Base::workspace, Base::untested, Base::iterations, Base::residual, Base::solve, Base::begin, Base::save_slopes;
 
     SingleStages(const RungeKuttaTables& tables, const SharedConstants& constants) : Base(tables, constants) {}
 
@@ -40,16 +40,16 @@ struct SingleStages : Stages<Layout, SharedConstants> {
             newton -= 1.0;
         } else {
             const bool ahead = all(p.start_extrapolated(forecast.at + part * blocks * s));
-            found = settle_momentum(true, trusted.at[part], &trusted.at[part]);
+            found = settle_momentum(true, untested.at[part], &untested.at[part]);
             if (!found && ahead) {
                 p.start_at_base();
-                found = settle_momentum(true, 0.0, &trusted.at[part]);
+                found = settle_momentum(true, 0.0, &untested.at[part]);
             }
-            if (!found && at_round_off(p, [&] { evaluate_all(); })) found = true, trusted.at[part] = 0.0;
+            if (!found && at_round_off(p, [&] { evaluate_all(); })) found = true, untested.at[part] = 0.0;
             newton = found ? 0.0 : STEPS_OF_NEWTON;
         }
         if (!found) {
-            trusted.at[part] = 0.0;
+            untested.at[part] = 0.0;
             const double earlier = residual;
             p.start_at_base();
             found = by_newton();

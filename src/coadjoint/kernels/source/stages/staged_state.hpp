@@ -6,7 +6,7 @@
 
 namespace coadjoint {
 
-// Numbers for the trusted iterations and the slopes of a step.
+// Numbers for the untested iterations and the slopes of a step.
 inline int64_t slope_memory_size(const RungeKuttaTables& tables) {
     return tables.substeps + tables.stages * (tables.field.size + tables.group.size * tables.group.size);
 }
@@ -39,10 +39,10 @@ struct StagedState {
         if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
     }
 
-    // Store the memory of one lane: the trusted iterations of each substep, and the slopes, stage after stage, of the
+    // Store the memory of one lane: the untested iterations of each substep, and the slopes, stage after stage, of the
     // previous step or of this one.
     void write_slopes(bool before, double* to, int lane) {
-        for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
+        for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.untested.at[part], lane);
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
                    [&](A* y, int64_t size, int64_t c, int64_t j) {
                        *to++ = lane_of(V(Layout::at(y, size, c, j)), lane);
@@ -51,7 +51,7 @@ struct StagedState {
     void read_slopes(const double* from, int lane) {
         for (int64_t part = 0; part < tables.substeps; ++part) {
             const double known = *from++;
-            set_lane(stages.trusted.at[part], lane, known >= 0.0 ? known : 0.0);
+            set_lane(stages.untested.at[part], lane, known >= 0.0 ? known : 0.0);
         }
         each_slope(stages.p.slopes.at, stages.g.slopes.at, [&](A* y, int64_t size, int64_t c, int64_t j) {
             V value = Layout::at(y, size, c, j);

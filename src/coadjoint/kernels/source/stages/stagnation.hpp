@@ -1,4 +1,9 @@
-// Stopping criterion of fixed point iterations: corrections have stopped falling at the level of round-off.
+// Stopping criterion of fixed point iterations: E. Hairer, R. I. McLachlan, A. Razakarivony, Achieving Brouwer's law with
+// implicit Runge-Kutta methods, BIT 48 (2008) 231-243. An iteration ends when its corrections no longer fall, at the level
+// of round-off; a tolerance would leave an error that has a sign, and energies would drift. Here each component is watched
+// by itself, since components differ in size, and for several iterations in a row, since corrections oscillate where
+// eigenvalues are complex. Corrections that stop falling above the round-off of their component are tested once more from
+// the start; then they are round-off of larger terms, as samples of disturbed points show, or have not converged.
 #pragma once
 
 #include <limits>
@@ -11,22 +16,22 @@
 
 namespace coadjoint {
 
-constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
+constexpr int64_t FIRST_TEST = 3;  // early corrections may rise before they fall
 constexpr int64_t MAX_ITERATIONS = 192;
-constexpr double GROWTH = power_of_two(GROWTH_BITS);  // larger than the first correction by this: divergence
-constexpr double NOISE = 0x1p-32;     // of the size of the stages: only smaller corrections may be round-off
-constexpr int64_t TEST_INTERVAL = 16;  // interval, in iterations, of the test for slow convergence
-constexpr double SLOW = 0x1p-6;        // a smaller fall since the last test would take more than MAX_ITERATIONS
-constexpr double WAKING = 0x1p-47;     // of a component: a larger correction may be no round-off
-constexpr double ROUGH = 0x1p-20;      // of a component: stagnating corrections that are too large
-constexpr double SPREAD_NOISE = 0x1p-16;  // of NOISE: 32 roundings of the largest components, which reach the others
-constexpr int64_t SAMPLES = 8;         // points that differ by roundings, of which few can end alike by chance
-constexpr int64_t SAMPLE_LENGTH = 3;   // iterations from these: round-off spreads from one component to the others
+constexpr double DIVERGENCE_FACTOR = power_of_two(GROWTH_BITS);  // corrections this much larger than the first diverge
+constexpr int64_t TEST_INTERVAL = 16;     // iterations between two tests for slow convergence
+constexpr double SLOWEST_RATE = 0x1p-6;   // a smaller fall since the last test would take more than MAX_ITERATIONS
+constexpr double ROUND_OFF_LEVEL = 0x1p-32;  // of the size of the stages: only smaller corrections may be round-off
+constexpr double SPREAD_OF_ROUND_OFF = 0x1p-16;  // of that: 32 roundings of the largest components, which reach the others
+constexpr double COMPONENT_LEVEL = 0x1p-47;  // of a component: a larger correction may be no round-off
+constexpr double NOT_CONVERGED = 0x1p-20;    // of a component: corrections that stop falling above have not converged
+constexpr double MOST_UNTESTED = 12.0;       // iterations, so that the first test can compare
+constexpr double LARGEST_SAMPLED = 0x1p-8;   // of the size of the stages: larger corrections are not sampled
+constexpr int64_t SAMPLES = 8;        // points that differ by roundings, of which few can end alike by chance
+constexpr int64_t SAMPLE_LENGTH = 3;  // iterations from these: round-off spreads from one component to the others
+constexpr double SAMPLED = 32.0;      // corrections at most so many times their distances are round-off
 constexpr double ROUNDING = 0x1p-52;
 constexpr double SPACING_OF_SUBNORMALS = 0x1p-1074;  // their rounding, however small they are
-constexpr double ROUGHEST = 0x1p-8;    // of the size of the stages: larger corrections are not tested for round-off
-constexpr double SAMPLED = 32.0;       // corrections at most so many times their distances are round-off
-constexpr double TRUSTED = 12.0;      // at most so many untested iterations, so that the first test can compare
 constexpr int64_t LONG_ITERATION = int64_t(1) << 14;  // multiplications above which each checks for interrupts
 
 // The number of iterations without a new smallest correction that counts as stagnation. Few can be chance: with complex
@@ -49,13 +54,13 @@ struct Unknowns {
     const typename Layout::Coefficient* mix;
     int64_t work;  // approximate number of multiplications of an iteration
     V *base = nullptr, *error = nullptr;
-    AlignedArray<A> points, slopes, before, settled_slopes, change, moved, least, noise;
+    AlignedArray<A> points, slopes, before, settled_slopes, change, moved, least, level;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
         : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), work(stages * stages * size),
           points(blocks * size), slopes(blocks * size), before(blocks * size),
           settled_slopes(Numbers<V>::lanes > 1 ? blocks * size : 0), change(blocks * size), moved(blocks),
-          least(blocks * size), noise(blocks) {}
+          least(blocks * size), level(blocks) {}
 
     void start_at_base() {
         for (int64_t b = 0; b < blocks; ++b)
@@ -124,7 +129,7 @@ struct Unknowns {
     // first move too.
     INLINE void measure(int64_t blocks, int64_t size) {
         for (int64_t b = 0; b < blocks; ++b) {
-            noise.at[b] = A(NOISE) * shared_sum<A>(size, [&](int64_t first, int64_t last) {
+            level.at[b] = A(ROUND_OFF_LEVEL) * shared_sum<A>(size, [&](int64_t first, int64_t last) {
                 A total(0.0);
                 for (int64_t c = first; c < last; ++c) total = total + absolute(points.at[b * size + c]);
                 return total;
@@ -133,7 +138,7 @@ struct Unknowns {
     }
     NOINLINE void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
         for (int64_t b = 0; b < blocks; ++b)
-            noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
+            level.at[b] = Layout::choose(where, level.at[b] + A(ROUND_OFF_LEVEL) * moved.at[b], level.at[b]);
     }
 
     // The largest sum of the components of a stage.
@@ -189,12 +194,12 @@ struct Unknowns {
                 const A extent = absolute(points.at[k]), correction = change.at[k], known = least.at[k];
                 const A own = extent + absolute(Layout::spread(base[c]));
                 const auto resting = known <= A(0.0), still = correction <= A(2.0 * UNIT_ROUNDOFF) * extent;
-                const auto wakes = (A(WAKING) * own < correction) & (correction < -known) & !still;
+                const auto moves_again = (A(COMPONENT_LEVEL) * own < correction) & (correction < -known) & !still;
                 auto decreased = (still | (correction < known)) & !resting;
                 if constexpr (Numbers<V>::lanes > 1)
-                    decreased = (decreased | (resting & wakes & again)) & where;
+                    decreased = (decreased | (resting & moves_again & again)) & where;
                 else
-                    decreased = decreased | (resting & wakes);
+                    decreased = decreased | (resting & moves_again);
                 least.at[k] = select(decreased, select(still, -known, correction), known);
                 any_falls = any_falls | decreased;
             }
@@ -205,9 +210,9 @@ struct Unknowns {
             least.at[k] = Layout::choose(where, A(std::numeric_limits<double>::infinity()), least.at[k]);
     }
 
-    // Whether the correction of any component of a stage is larger than this part of it before and now, and, if `rough`,
+    // Whether the correction of any component of a stage is larger than this part of it before and now, and, if `any_term`,
     // than the round-off of the largest components, which reaches the others.
-    template <bool rough>
+    template <bool any_term>
     NOINLINE auto any_larger(double part, int64_t blocks, int64_t size) const {
         auto found = A(0.0) < A(0.0);
         for (int64_t b = 0; b < blocks; ++b)
@@ -215,7 +220,7 @@ struct Unknowns {
                 const A correction = change.at[b * size + c];
                 const A own = absolute(points.at[b * size + c]) + absolute(Layout::spread(base[c]));
                 auto larger = A(part) * own < correction;
-                if constexpr (rough) larger = larger & (A(SPREAD_NOISE) * noise.at[b] < correction);
+                if constexpr (any_term) larger = larger & (A(SPREAD_OF_ROUND_OFF) * level.at[b] < correction);
                 found = found | larger;
             }
         return Layout::some(found);
@@ -235,7 +240,7 @@ NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
     typedef typename Layout::A A;
     const int64_t count = y.blocks * y.size;
     // Larger corrections have no digits left, or diverge.
-    if (!(y.largest_move() <= ROUGHEST * y.extent())) return false;
+    if (!(y.largest_move() <= LARGEST_SAMPLED * y.extent())) return false;
     AlignedArray<A> start(count), ends(SAMPLE_LENGTH * count), correction(count), distance(count);
     std::copy_n(y.points.at, count, start.at);
     std::fill_n(distance.at, count, A(0.0));
@@ -264,7 +269,7 @@ NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
 template <class V>
 struct Outcome {
     typename Numbers<V>::Mask settled;
-    V iterations, residual, trusted{0.0};
+    V iterations, residual, untested{0.0};
 };
 
 // Iterate points = base + mix slopes(points) until every trajectory of `active` has settled or failed; settled ones
@@ -277,9 +282,9 @@ struct Outcome {
 // A trajectory has settled if nothing moves, or if, for some iterations in a row, no component's correction has fallen
 // below its minimum since the corrections became small. It fails if corrections grow or fall slowly.
 //
-// The first `trusted` iterations of each are not watched: by the previous step, corrections still fall in them.
+// The first `untested` iterations of each are not watched: in the previous step, corrections still fell in them.
 template <class Layout, class Mask, class Iterate, class OnSettled>
-INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t size, const typename Layout::V& trusted,
+INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t size, const typename Layout::V& untested,
                       Iterate iterate, OnSettled on_settled) {
     typedef typename Layout::V V;
     typedef typename Layout::A A;
@@ -289,9 +294,9 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
     Outcome<V> outcome{no_lane, V(0.0), V(0.0), V(0.0)};
     if (!any(active)) return outcome;
     const bool slow = y.work >= LONG_ITERATION;
-    double unwatched = TRUSTED;
+    double unwatched = MOST_UNTESTED;
     for (int lane = 0; lane < Numbers<V>::lanes; ++lane)
-        if (at(active, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
+        if (at(active, lane)) unwatched = smaller(unwatched, lane_of(untested, lane));
     y.measure(blocks, size);
     int64_t passed = 1;
     for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
@@ -304,9 +309,9 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
         iterate(std::true_type());
         if (__builtin_expect(slow, 0)) InterruptCheck::of_this_call().after(y.work * Numbers<V>::lanes);
         const V count = V(double(passed));
-        typename Numbers<V>::Mask small = active & (count > trusted), ended = no_lane, failed = no_lane,
+        typename Numbers<V>::Mask small = active & (count > untested), ended = no_lane, failed = no_lane,
                                   unchanged = no_lane;
-        for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
+        for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.level.at[b]);
         if (any(small)) {
             unchanged = small;
             for (int64_t b = 0; b < blocks; ++b) unchanged = unchanged & Layout::every(y.moved.at[b] == A(0.0));
@@ -321,11 +326,11 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             stagnant = select(stagnating, stagnant + 1.0, V(0.0));
             typename Numbers<V>::Mask stagnated = stagnating & (stagnant >= V(stagnation_length(passed)));
             if (any(stagnated)) {
-                const typename Numbers<V>::Mask large = stagnated & y.template any_larger<false>(WAKING, blocks, size);
+                const typename Numbers<V>::Mask large = stagnated & y.template any_larger<false>(COMPONENT_LEVEL, blocks, size);
                 if (__builtin_expect(any(large), 0)) {
                     // Large for some component: round-off of other terms, or not yet, or never converged.
                     const typename Numbers<V>::Mask once_more = large & !again;
-                    failed = large & again & y.template any_larger<true>(ROUGH, blocks, size);
+                    failed = large & again & y.template any_larger<true>(NOT_CONVERGED, blocks, size);
                     stagnated = stagnated & !once_more & !failed;
                     stagnant = select(once_more, V(0.0), stagnant);
                     y.test_again(once_more, blocks, size);
@@ -337,13 +342,13 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             stagnant = V(0.0);
         }
         if (__builtin_expect(passed == 1, 0)) {
-            const auto untrusted = !(trusted > V(0.0));
-            first = last_tested = select(untrusted, y.largest_move(), infinite);
-            y.measure_move(untrusted, blocks);
-            failed = failed | (active & untrusted & !ended & !(first - first == V(0.0)));
+            const auto tested_at_once = !(untested > V(0.0));
+            first = last_tested = select(tested_at_once, y.largest_move(), infinite);
+            y.measure_move(tested_at_once, blocks);
+            failed = failed | (active & tested_at_once & !ended & !(first - first == V(0.0)));
         } else if (__builtin_expect(passed % TEST_INTERVAL == 0, 0)) {
             const V now = y.largest_move();
-            const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * last_tested;
+            const auto bounded = now <= V(DIVERGENCE_FACTOR) * first, fast = now <= V(SLOWEST_RATE) * last_tested;
             failed = failed | (active & !ended & !(bounded & (small | fast)));
             last_tested = now;
             InterruptCheck::of_this_call().after(TEST_INTERVAL * y.work * Numbers<V>::lanes);
@@ -354,8 +359,8 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
         outcome.settled = outcome.settled | ended;
         outcome.iterations = select(over, count, outcome.iterations);
         const V falling_iterations = select(unchanged, count, count - stagnant) - 2.0;
-        const V next = smaller(larger(falling_iterations, V(0.0)), V(TRUSTED));
-        outcome.trusted = select(ended, next, outcome.trusted);
+        const V next = smaller(larger(falling_iterations, V(0.0)), V(MOST_UNTESTED));
+        outcome.untested = select(ended, next, outcome.untested);
         if (__builtin_expect(any(failed), 0)) {
             const V move = y.largest_move();
             const V last_move = passed == 1 ? move : select(move - move == V(0.0), move, infinite);

@@ -18,7 +18,7 @@ class StageJacobians {
 
     StageJacobians(StagePoints& at, bool transposed, bool wanted)
         : used(wanted && suitable(at)), at(at), n(at.n), s(at.s), jacobians(used ? n * n : 0), scales(1), mixed(s), weights(s), outs(1),
-          continued(3 * s), exact(at.tables.solver == EXPLICIT ? (transposed ? s : 1) : 0), trusted(exact) {
+          continued(3 * s), exact(at.tables.solver == EXPLICIT ? (transposed ? s : 1) : 0), untested(exact) {
         if (!used) return;
         find_coefficients();
         const RungeKuttaTables& tables = at.tables;
@@ -40,7 +40,7 @@ class StageJacobians {
     // The next step does not follow the last one.
     void restart() {
         std::fill_n(&solution[0][0][0], sizeof(solution) / sizeof(double), 0.0);
-        trusted = exact;
+        untested = exact;
     }
 
     // The Jacobians of the substep at which the points are.
@@ -130,7 +130,7 @@ class StageJacobians {
     S points[LARGEST_DENSE_STAGE], lengths;
     alignas(64) double solution[2][LARGEST_DENSE_STAGE][MOST_STAGES] = {};  // z of the last substep, and of the one before
     const int64_t exact;  // iterations that solve the equations of explicit methods, else zero
-    int64_t trusted;      // iterations that the last substep needed before the last two
+    int64_t untested;      // iterations that the last substep needed before the last two
 
     double number(int64_t entry, int64_t j) const { return reinterpret_cast<const double*>(jacobians.at + entry)[j]; }
 
@@ -177,19 +177,19 @@ class StageJacobians {
         return solve(n);
     }
 
-    // Call `pass(measured, change, largest)` until nothing changes; the first passes are trusted and not `measured`. False
+    // Call `pass(measured, change, largest)` until nothing changes; the first passes are untested and not `measured`. False
     // if the iteration does not converge.
     template <class V, class Pass>
     INLINE bool iterate(const Pass& pass) {
         double earlier = 0.0;
         for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
             V change_of(0.0), largest_of(0.0);
-            pass(passed >= trusted, change_of, largest_of);
+            pass(passed >= untested, change_of, largest_of);
             if (passed + 1 == exact) return true;
-            if (passed < trusted) continue;
+            if (passed < untested) continue;
             const double change = largest_lane(change_of), largest = largest_lane(largest_of);
             if (!(largest - largest == 0.0)) break;
-            if (converged(change, earlier, largest)) return trusted = std::max<int64_t>(0, passed - 1), true;
+            if (converged(change, earlier, largest)) return untested = std::max<int64_t>(0, passed - 1), true;
             earlier = change;
         }
         return false;
@@ -205,7 +205,7 @@ class StageJacobians {
         };
         const auto keep = [&] { for (int64_t c = 0; c < size; ++c) store(solution[0][c], z[c]); };
         for (int64_t c = 0; c < size; ++c) base[c] = outs.at[0] * S(cotangents[c]), z[c] = S(0.0);
-        const bool both = trusted <= FAST;
+        const bool both = untested <= FAST;
         mix(continued.at + (both ? s : 0), 0, z);
         if (both) mix(continued.at + 2 * s, 1, z);
         for (int64_t c = 0; c < size; ++c) std::copy_n(solution[0][c], MOST_STAGES, solution[1][c]);
@@ -233,7 +233,7 @@ class StageJacobians {
         V y[LARGEST_DENSE_STAGE], before[2 * MOST_STAGES * LARGEST_DENSE_STAGE];
         std::copy_n(z, 2 * s * size, before);
         std::copy_n(z, s * size, z + s * size);
-        const bool both = trusted <= FAST;
+        const bool both = untested <= FAST;
         for (int64_t i = 0; i < s; ++i) {
             for (int64_t c = 0; c < size; ++c) y[c] = V(0.0);
             for (int64_t j = 0; j < (both ? 2 * s : s); ++j) {
@@ -260,7 +260,7 @@ class StageJacobians {
                 }
             }
         });
-        if (!solved) std::fill_n(z, 2 * s * size, V(0.0)), trusted = exact;
+        if (!solved) std::fill_n(z, 2 * s * size, V(0.0)), untested = exact;
         return solved;
     }
 

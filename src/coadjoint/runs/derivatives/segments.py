@@ -1,4 +1,4 @@
-"""Stretches of steps to be differentiated: by calls of the kernels, and step by step in Python."""
+"""Segments of steps to be differentiated: by calls of the kernels, and step by step in Python."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 ONE = np.ones(1, dtype=np.int64)  # the mark of a single step
 
 
-class Stretch(NamedTuple):
+class Segment(NamedTuple):
     """Steps k0 + 1 to k1 of all members, and the states from which they start, or, if `undone`, end."""
 
     t0: float
@@ -43,7 +43,7 @@ class Stretch(NamedTuple):
     before: int | None = 0
 
     @classmethod
-    def of_step(cls, t0: float, h: float, momenta: Floats, groups: Floats, before: int | None = None) -> Stretch:
+    def of_step(cls, t0: float, h: float, momenta: Floats, groups: Floats, before: int | None = None) -> Segment:
         return cls(t0, h, 0, 1, momenta, np.zeros_like(momenta), groups, np.zeros_like(groups), before=before)
 
     def forward(
