@@ -29,6 +29,7 @@ SUBJECTS = {
         "batches": "Batches beside ensembles",
         "members_of_series": "Ensembles by Taylor series",
         "families": "Families of runs",
+        "dispersions": "Satellites with dispersed numbers",
         "archives": "Archives and workers",
     },
     "Accuracy beside other solvers": {
