@@ -311,7 +311,7 @@ def accuracy(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield refusal(others, "forces")
     if forces_in(case) and len(str(case)) % 4:  # without forces, which would need longer
         return
-    begin = f"{one_and_properties(case, space)[0]}from matrix.references import exact_end\n"
+    begin = f"{one_and_properties(case, space)[0]}from matrix.references import blows_up, exact_end\n"
     what = "one, x"
     if many:
         what = "many, np.broadcast_to(x0, (len(many), many.dim))"
@@ -326,7 +326,9 @@ def accuracy(case: Case, space: dict[str, Any]) -> Iterator[str]:
         "    exact = [exact_end(member, chosen.x[0, m], *span) for m, member in members]\n"
         "    found = np.max(np.linalg.norm(chosen.x[-1] - np.squeeze(exact), axis=-1) / sizes)\n"
         "except ValueError as refused:\n"
-        f"    found = 0.0 if 'reaches the accuracy {wanted:g}' in str(refused) else np.inf\n"
+        f"    right = 'reaches the accuracy {wanted:g}' in str(refused)\n"
+        f"    right = right or {not many} and 'blows up' in str(refused) and blows_up(one, x, *span)\n"
+        "    found = 0.0 if right else np.inf\n"
         f"expected, allowed = 0.0, {wanted}\n"
     )
 

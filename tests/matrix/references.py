@@ -27,6 +27,14 @@ def exact_end(system: Any, states: np.ndarray, start: float, end: float) -> np.n
     return ENDS[key][1]
 
 
+def blows_up(system: Any, states: np.ndarray, start: float, end: float) -> bool:
+    """Return whether a motion leaves all bounds before its end."""
+    x0 = np.ravel(states)
+    with np.errstate(all="ignore"):
+        found = solve_ivp(lambda t, x: field(system, x, t), (start, end), x0, "DOP853", rtol=1e-10, atol=1e-12)
+    return bool(found.status != 0 or np.abs(found.y).max() > 1e9 * (1.0 + np.abs(x0).max()))
+
+
 def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
     """Return x'; states of matrices, which rounding may move out of their algebra, are projected on it."""
     plain = system.unforced
@@ -109,7 +117,8 @@ def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
 
 def measured(sol: co.Solution) -> int:
     """Return how many states from the start on are at most a thousand times as large as the first."""
-    sizes = np.linalg.norm(sol.x.reshape(len(sol.x), -1), axis=1)
+    with np.errstate(over="ignore"):
+        sizes = np.linalg.norm(sol.x.reshape(len(sol.x), -1), axis=1)
     return int(np.argmax(np.append(~(sizes <= 1e3 * sizes[0]), True)))
 
 

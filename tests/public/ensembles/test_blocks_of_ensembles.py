@@ -6,7 +6,7 @@ import json
 import os
 import pickle
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -239,6 +239,29 @@ def test_work_of_blocks_is_added(tmp_path):
 
 
 @pytest.mark.thinned(3)
+@dataclass(frozen=True)
+class Unregistered(co.methods.StepMethod):
+    """A scheme of a user, which no file can name."""
+
+    order = 2
+
+    def step(self, system, x, t, h):
+        first = h * system.vector_field(x, t)
+        return x + 0.5 * (first + h * system.vector_field(x + first, t + h))
+
+
+def test_schemes_that_are_not_registered_have_the_drift_of_their_runs():
+    """Deviations are relative to the sizes of invariants, which the system has, whatever the scheme."""
+    top = co.systems.heavy_top()
+    states = np.random.default_rng(3).uniform(-0.9, 0.9, (3, 6))
+    found = co.integrate_ensemble(top, states, (0.0, 1.5), 0.125, Unregistered(), members_per_block=2)
+    whole = co.integrate(top, states, (0.0, 1.5), 0.125, Unregistered())
+    assert found.system.name == top.name
+    for name, drift in whole.drift().items():
+        assert np.array_equal(found.drift()[name].tenths, drift.tenths), name
+        assert np.array_equal(found.drift()[name].scale, drift.scale), name
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.EIO, "broken"), MemoryError(), SystemExit()])
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_temporary_archive_lives_as_long_as_the_partial_result(tmp_path, monkeypatch, error, number):

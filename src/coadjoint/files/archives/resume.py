@@ -179,7 +179,7 @@ def _prepared_again(
     """Prepare the run of an archive again; return also all its arguments."""
     observed = observed_again(archive, system, observe)
     with reading(archive.path, "the archive"):
-        inputs = archive.inputs()
+        inputs = {**archive.inputs(), "method": archive.method}
     options = {name: inputs[name] for name in ("attitude", "watch")}
     return PreparedRun(
         inputs["system"], inputs["method"], inputs["step"], observe=observed, threads=threads, **options

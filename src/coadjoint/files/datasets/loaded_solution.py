@@ -26,6 +26,7 @@ from coadjoint.files.datasets.stored_solution import (
     StoredSolution,
     events_of_dataset,
     stored_inputs,
+    stored_method,
 )
 from coadjoint.files.datasets.variables import state_of, with_vorticity
 from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
@@ -334,7 +335,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     >>> solution_inputs(sol.to_xarray())["t_span"]
     (0.0, 1.0)
     """
-    inputs = stored_inputs(dataset, system, events)
+    inputs = {**stored_inputs(dataset, system, events), "method": stored_method(dataset.attrs)}
     if _coadjoint_start(stacked(dataset)) is not None:
         raise ValueError("the run began with its own coadjoint matrix, which `integrate` does not take; use `rebuild`")
     return inputs
@@ -368,7 +369,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     >>> bool((rebuild(sol.to_xarray()).x == sol.x).all())
     True
     """
-    inputs = stored_inputs(dataset)
+    inputs = {**stored_inputs(dataset), "method": stored_method(dataset.attrs)}
     element = _coadjoint_start(stacked(dataset))
     with as_value_errors(Entry(None, "the run of this dataset")):
         if element is None:

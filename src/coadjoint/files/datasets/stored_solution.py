@@ -245,7 +245,7 @@ def stored_method(attributes: Mapping[Any, Any]) -> Method:
 
 
 def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
-    """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
+    """Return the arguments of `solution_inputs` but the method, without its check of the initial coadjoint matrix."""
     attributes = checked_attributes(dataset)
     missing = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
     if missing:
@@ -253,7 +253,6 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     dataset = stacked(dataset)
     entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
-    method = stored_method(attributes)
     start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
     step, save_every = entries["step"].number(), entries["save_every"].integer(1)
     with as_value_errors(entries["step"]):
@@ -297,7 +296,6 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         "x0": x0,
         "t_span": (start, end),
         "step": step,
-        "method": method,
         "save_every": save_every,
         "t_eval": state_of(dataset, "time", (("time",),)) if between_steps else None,
         "watch": entries["watch"].flag(),
