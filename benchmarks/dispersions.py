@@ -1,4 +1,4 @@
-"""Satellites with dispersed inertia, magnets, gains and orbits: preparation, a run, and gradients, beside one satellite.
+"""Satellites with dispersed inertia, magnets, gains and orbits: preparation and a run, beside one satellite.
 
 python benchmarks/dispersions.py [--members M] [--rounds R]
 """

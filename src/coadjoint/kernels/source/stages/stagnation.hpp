@@ -24,7 +24,7 @@ constexpr double SLOWEST_RATE = 0x1p-6;   // a smaller fall since the last test 
 constexpr double ROUND_OFF_LEVEL = 0x1p-32;  // of the size of the stages: only smaller corrections may be round-off
 constexpr double SPREAD_OF_ROUND_OFF = 0x1p-16;  // of that: 32 roundings of the largest components, which reach the others
 constexpr double COMPONENT_LEVEL = 0x1p-47;  // of a component: a larger correction may be no round-off
-constexpr double NOT_CONVERGED = 0x1p-20;    // of a component: corrections that stop falling above have not converged
+constexpr double UNCONVERGED_LEVEL = 0x1p-20;    // of a component: corrections that stop falling above have not converged
 constexpr double MOST_UNTESTED = 12.0;       // iterations, so that the first test can compare
 constexpr double LARGEST_SAMPLED = 0x1p-8;   // of the size of the stages: larger corrections are not sampled
 constexpr int64_t SAMPLES = 8;        // points that differ by roundings, of which few can end alike by chance
@@ -330,7 +330,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
                 if (__builtin_expect(any(large), 0)) {
                     // Large for some component: round-off of other terms, or not yet, or never converged.
                     const typename Numbers<V>::Mask once_more = large & !again;
-                    failed = large & again & y.template any_larger<true>(NOT_CONVERGED, blocks, size);
+                    failed = large & again & y.template any_larger<true>(UNCONVERGED_LEVEL, blocks, size);
                     stagnated = stagnated & !once_more & !failed;
                     stagnant = select(once_more, V(0.0), stagnant);
                     y.test_again(once_more, blocks, size);
