@@ -58,8 +58,8 @@ def numbers(sol: co.Solution, m: int | None = None, every: Any = slice(None), fo
     reached = len(sol.t)
     if m is not None:
         reached = int(np.isfinite(along["x"].reshape(reached, -1)).all(axis=1).sum())
-    elif not many and sol.events is not None and sol.t_span[1] not in (sol.asked_span[1], sol.t_span[0]):
-        reached -= 1
+    elif not many and sol.events is not None and sol.t_span[1] != sol.asked_span[1]:
+        reached = max(1, reached - 1)  # at the start itself, there is one state
     found = {name: values[:reached][every] for name, values in along.items()}
     if followed and sol.watched:
         for name, change in sol.change().items():

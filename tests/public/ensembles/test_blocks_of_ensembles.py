@@ -15,6 +15,7 @@ import xarray
 
 import coadjoint as co
 from hostile_archives import edit_attributes
+from own_schemes import NOTHING
 from refusals import refused
 from same_runs import check_same
 
@@ -243,7 +244,10 @@ def test_work_of_blocks_is_added(tmp_path):
 class Unregistered(co.methods.StepMethod):
     """A scheme of a user, which no file can name."""
 
-    order = 2
+    order, explicit, symmetric = 2, True, False
+
+    def properties(self, system):
+        return NOTHING
 
     def step(self, system, x, t, h):
         first = h * system.vector_field(x, t)
