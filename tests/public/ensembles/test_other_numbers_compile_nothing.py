@@ -52,6 +52,7 @@ def end_of(system, start, method, step=0.125):
     return co.integrate(system, start, (0.0, 4 * step), step, method).x[-1]
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", CASES)
 def test_satellite_forces(name, compiled):
     case = CASES[name]
@@ -83,6 +84,7 @@ def start_of(system):
     return x
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("name", WITH_FUNCTIONS)
 def test_systems_with_functions(name, method, compiled):
