@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from coadjoint.interruption import deferred
 from coadjoint.kernels.functions.contents import contents_of, lifted_contents
-from coadjoint.kernels.functions.copies import POINTER, called_in_machine_code, store
+from coadjoint.kernels.functions.copies import POINTER, Places, called_in_machine_code, store
 from coadjoint.kernels.functions.machine_code import MachineCode, stored_or_compiled
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
@@ -46,8 +46,10 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
     that cannot be compared are compiled again on each call, with a warning.
     """
     digest, unknown = contents_of(value)
-    if not unknown:
-        return _cached((digest, options), what, make)
+    return _made_each_time(unknown, what, make) if unknown else _cached((digest, options), what, make)
+
+
+def _made_each_time(unknown: tuple[str, ...], what: str, make: Callable[[], Any]) -> Any:
     if what not in _warned:
         _warned.add(what)
         warnings.warn(
@@ -85,25 +87,24 @@ def callback_with_constants(
     """
     function = without_multiples_of(function, timed)
     contents, options = lifted_contents(function), (timed, contents_of(make)[0])
-    if len(contents.constants) and not contents.unknown and contents.digest not in _CONSTANT:
 
-        def lifted() -> Any:
-            passed = (0, 1, 2) if timed else (0, 2)
-            return make(called_in_machine_code(function, contents.places), attempting(*passed))
+    def compiled(places: Places, *passed: int) -> Any:
+        return make(called_in_machine_code(function, places), attempting(*passed))
 
-        key = contents.digest, options
-        with suppress(Exception):  # Numba raises exceptions of many types; those of the function are raised again below
-            return _cached(key, what, partial(stored_or_compiled, key, lifted)), contents.constants
-        store(_CONSTANT, contents.digest, True)
-
-    def constant() -> Any:
-        return make(called_in_machine_code(function), attempting(*((0, 1) if timed else (0,))))
-
-    def code() -> MachineCode:
-        digest, unknown = contents_of(function)
-        return MachineCode.of(constant()) if unknown else stored_or_compiled((digest, options), constant)
-
-    return compile_cached(function, options, what, code), NO_CONSTANTS
+    constant = partial(compiled, {}, *((0, 1) if timed else (0,)))
+    if contents.unknown:
+        return _made_each_time(contents.unknown, what, lambda: MachineCode.of(constant())), NO_CONSTANTS
+    digest = contents.digest
+    if len(contents.constants):
+        key = digest, options
+        if digest not in _CONSTANT:
+            lifted = partial(compiled, contents.places, *((0, 1, 2) if timed else (0, 2)))
+            with suppress(Exception):  # of many types from Numba; those of the function are raised again below
+                return _cached(key, what, partial(stored_or_compiled, key, lifted)), contents.constants
+            store(_CONSTANT, digest, True)
+        digest, _ = contents_of(function)
+    key = digest, options
+    return _cached(key, what, partial(stored_or_compiled, key, constant)), NO_CONSTANTS
 
 
 def without_multiples_of(function: Any, timed: bool) -> Any:

@@ -112,15 +112,15 @@ class _Digester:
         return ["unknown", what]
 
     def lifted(self, function: types.FunctionType, name: str, value: Any) -> Any:
-        """Return a value that a function reads, or the kind and shape of one that is a constant."""
+        """Return a value that a function reads, or the place of one that is a constant, which no function can read."""
         kind = _kind_of_constant(value) if self._lifts else None
         if kind is None:
             return value
         numbers = np.array(value, dtype=np.float64)
-        self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
+        place = self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
         self.constants.append(numbers.ravel())
         self._count += numbers.size
-        return "constant", kind, numbers.shape
+        return place
 
     def add(self, value: Any) -> None:
         """Add a value by its content."""

@@ -70,7 +70,8 @@ def called_in_machine_code(function: Any, places: Places | None = None) -> Any:
     """
     copies = _Copies(places or {})
     if isinstance(function, types.FunctionType):
-        inner = numba.njit(boundscheck=True, **INTERNAL_OPTIONS, **copies.pipeline(function))(copies.filled(function))
+        copy = copies.filled(function)
+        inner = numba.njit(boundscheck=True, **INTERNAL_OPTIONS, **_pipeline(copy))(copy)
     else:
         inner = copies.of(function)
         if not isinstance(inner, numba.core.dispatcher.Dispatcher):
@@ -114,7 +115,7 @@ class _Copies:
         if not takes and not unknown and digest in _COPIES:
             return _COPIES[digest]
         copy = self._unfilled(value.py_func)
-        new: Any = type(value)(copy, value.locals, value.targetoptions, **self.pipeline(value))
+        new: Any = type(value)(copy, value.locals, value.targetoptions, **_pipeline(copy))
         self._made[id(value)] = value, new  # before it is filled, since it may call itself
         self._fill(copy, value.py_func)
         if not value._can_compile:
@@ -126,9 +127,6 @@ class _Copies:
         if not takes and not unknown:
             store(_COPIES, digest, new)
         return new
-
-    def pipeline(self, function: Any) -> dict[str, Any]:
-        return {"pipeline_class": LiftingCompiler} if self.takes_constants(function) else {}
 
     def takes_constants(self, function: Any) -> bool:
         """Whether a function has constants, or another one that it can call."""
@@ -182,6 +180,10 @@ class _Copies:
         copy.lifted = Lifted(readers, called)
         self.lifted.update({id(function)} & {*self.places})
         return copy
+
+
+def _pipeline(copy: Any) -> dict[str, Any]:
+    return {"pipeline_class": LiftingCompiler} if hasattr(copy, "lifted") else {}
 
 
 def _python_function(value: Any) -> Any:

@@ -185,7 +185,7 @@ class Bodies(LiePoissonSystem):
 
     def _velocities(self, x: Any) -> Floats:
         """Return the angular velocities in the body frames, (..., bodies, 3)."""
-        inverse = np.stack([_matrix(inertia.inverse) for inertia in self.inertias])
+        inverse = np.stack([inertia.inverse_matrix for inertia in self.inertias])
         return np.asarray(np.einsum("kij,...kj->...ki", inverse, self._rows(x)[..., 0, :]))
 
     def momentum(self, angular_velocity: npt.ArrayLike) -> Floats:
@@ -394,7 +394,3 @@ def over_members(*parts: tuple[Floats, int]) -> list[Floats]:
         raise ValueError(f"the arguments of state are for {' and '.join(map(str, sorted(members)))} members")
     shape = tuple(members)
     return [np.broadcast_to(array, (*shape, *array.shape[array.ndim - axes :])) for array, axes in parts]
-
-
-def _matrix(inverse: Floats) -> Floats:
-    return np.diag(inverse) if inverse.ndim == 1 else inverse

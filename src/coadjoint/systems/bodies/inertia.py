@@ -206,6 +206,11 @@ class BodyInertia(NamedTuple):
     rotating: Floats | None = None
 
     @property
+    def inverse_matrix(self) -> Floats:
+        """The inverse as a matrix, (3, 3)."""
+        return np.diag(self.inverse) if self.inverse.ndim == 1 else self.inverse
+
+    @property
     def anisotropic(self) -> Floats:
         """The tensor without its isotropic part: the trace is zero, and the moments of a ball vanish exactly."""
         return np.asarray(anisotropic_part(self.tensor), dtype=np.float64)

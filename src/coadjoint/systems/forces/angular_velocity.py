@@ -65,8 +65,7 @@ def velocities_of(system: Any) -> Callable[..., Any]:
     """Return the angular velocities in the frames of bodies, (3,) or (k, 3), of (x, t), for compiled functions."""
     if not system.bodies:
         return velocity_of(system, in_frame=False)
-    tensors = [one.inverse for one in system.inertias]
-    inverse, count = np.stack([np.diag(one) if one.ndim == 1 else one for one in tensors]), len(tensors)
+    inverse, count = np.stack([one.inverse_matrix for one in system.inertias]), len(system.inertias)
 
     def velocities(x: Any, t: Any) -> Any:
         L = np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 0, :])
