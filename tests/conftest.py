@@ -33,3 +33,18 @@ def pytest_collection_finish():
 def no_fsync(monkeypatch):
     """Do not wait for the disk."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """The functions that Numba has compiled during a test."""
+    import numba
+
+    found, original = [], numba.cfunc
+
+    def counting(*given, **options):
+        found.append(given)
+        return original(*given, **options)
+
+    monkeypatch.setattr(numba, "cfunc", counting)
+    return found

@@ -27,19 +27,6 @@ def own_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(compilation, "_CONSTANT", {})
 
 
-@pytest.fixture
-def compiled(monkeypatch):
-    """The callbacks that Numba has compiled."""
-    found, original = [], numba.cfunc
-
-    def counting(*given, **options):
-        found.append(given)
-        return original(*given, **options)
-
-    monkeypatch.setattr(numba, "cfunc", counting)
-    return found
-
-
 def values_of(function, timed=True):
     one = compiled_function(function, SIZE, SIZE, scalar=False, flat=True, timed=timed, what="the test function")
     return one.values(X, T, SIZE)

@@ -7,23 +7,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from matrix.results import fixed
 from satellite_forces import CASES
 
 METHODS = [co.Splitting(order=2), co.GaussLegendre(2)]
 pytestmark = pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
-
-
-@pytest.fixture
-def compiled(monkeypatch):
-    """The functions that Numba has compiled."""
-    found, original = [], numba.cfunc
-
-    def counting(*given, **options):
-        found.append(given)
-        return original(*given, **options)
-
-    monkeypatch.setattr(numba, "cfunc", counting)
-    return found
 
 
 def scaled(value, factor):
@@ -77,13 +65,6 @@ LENGTHS_OF_A_BOX = "box", "cutoff", "switch_from", "dielectric"
 WITH_FUNCTIONS = ("gravitating_bodies", "rigid_molecules", "satellite", "separable_cosh", "double_spherical_pendulum")
 
 
-def start_of(system):
-    x = np.cos(np.arange(1.0, system.dim + 1.0))
-    if "z" in system.casimirs:
-        x[np.argmax(abs(system.casimirs["z"].gradient(0 * x)))] = 1.0
-    return x
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("name", WITH_FUNCTIONS)
@@ -97,7 +78,8 @@ def test_systems_with_functions(name, method, compiled):
         system = co.systems.get(name, **{**base.parameters, **given})
         before = len(compiled)
         try:
-            ends.append(end_of(system, start_of(system), method, 2.0**-7))
+            start = fixed(system, np.cos(np.arange(1.0, system.dim + 1.0)), 1.0)
+            ends.append(end_of(system, start, method, 2.0**-7))
         except (TypeError, ValueError) as refused:
             assert "cannot be used" in str(refused)
             pytest.skip(str(refused))
