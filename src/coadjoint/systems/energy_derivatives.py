@@ -14,7 +14,6 @@ from coadjoint.systems.coordinates import momenta_of
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
-from coadjoint.systems.user_functions import callable_from_compiled
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -310,7 +309,7 @@ def functions_by_steps(
     if not entries:
         return ()
     constants, steps, count = np.array(moved), all_steps.ravel()[entries], len(entries)
-    values, slopes = callable_from_compiled(function.value), callable_from_compiled(function.gradient)
+    values, slopes = function.value, function.gradient
 
     def by_entries(y: Any) -> Any:
         return np.array([values(y + 0j, constants[k]).imag / steps[k] for k in range(count)])

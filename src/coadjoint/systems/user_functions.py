@@ -14,7 +14,6 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.algebra.invariants.sampled_checks import SEED, difference_along, evaluate, sample_points
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_numbers
@@ -103,7 +102,7 @@ ALL_SHARES = -1.0
 def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
     """Return a function, for compiled ones, from a share to the first of its bodies and the step to the next."""
     shares = number_of_shares(bodies)
-    return callable_from_compiled(lambda share: (int(share), shares) if share >= 0.0 else (0, 1))
+    return lambda share: (int(share), shares) if share >= 0.0 else (0, 1)
 
 
 def forms_of(function: Any) -> Forms | None:
@@ -190,16 +189,6 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
 def with_time(function: Callable[..., Any], name: str) -> Callable[..., Any]:
     """Return a function of (x) or (x, t) as one of (x, t)."""
     return function if takes_time(function, name) else lambda x, t: function(x)
-
-
-def callable_from_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged."""
-    if not (installed("numba") and inspect.isfunction(function)):
-        return function
-    from numba.extending import register_jitable
-
-    compiled: Callable[..., Any] = register_jitable(function)
-    return compiled
 
 
 def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import re
-import types
 import warnings
 from collections import namedtuple
 from collections.abc import Callable
@@ -112,8 +111,6 @@ def without_multiples_of(function: Any, timed: bool) -> Any:
     if not isinstance(function, MultipleOf):
         return function
     inner, factor = without_multiples_of(function.function, timed), function.factor
-    if isinstance(inner, types.FunctionType):
-        inner = numba.njit(boundscheck=True, error_model="numpy")(inner)
     if function.scalar:
         return (lambda x, t: factor * inner(x, t)) if timed else (lambda x: factor * inner(x))
     return (lambda x, t: factor * np.asarray(inner(x, t))) if timed else (lambda x: factor * np.asarray(inner(x)))

@@ -32,8 +32,18 @@ STANDARD_LIBRARY = sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"
 DYNAMIC_BUILTINS = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
 """Builtins with which a function can read values that its code does not name."""
 READING = frozenset({"LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS", "IMPORT_NAME"})
+
+
+class Place(NamedTuple):
+    """Where numbers of a function stand among the constants: at `offset`, as "float", "tuple" or "array" of a shape."""
+
+    offset: int
+    kind: str
+    shape: tuple[int, ...]
+
+
 PLAIN = frozenset(
-    {bool, int, float, complex, str, bytes, type(None), type(...), Fraction, Decimal, range, date, timedelta}
+    {bool, int, float, complex, str, bytes, type(None), type(...), Fraction, Decimal, range, date, timedelta, Place}
 )
 CONTAINERS = frozenset({tuple, list, set, frozenset, dict, types.MappingProxyType})
 DATA: tuple[Any, ...] = dict, tuple, list, float, str
@@ -54,14 +64,6 @@ def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]
     except RecursionError:
         return "", ("objects in objects, too deep to be followed",)
     return walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown))
-
-
-class Place(NamedTuple):
-    """Where numbers of a function stand among the constants: at `offset`, as "float", "tuple" or "array" of a shape."""
-
-    offset: int
-    kind: str
-    shape: tuple[int, ...]
 
 
 class LiftedContents(NamedTuple):
@@ -205,32 +207,36 @@ def _digest_of_code(code: types.CodeType) -> str:
 def _parts_of_function(function: types.FunctionType, walk: _Digester) -> list[Any]:
     """Return the code of a function, its defaults, what is closed over, and the globals that it names."""
     module, code, held = function.__module__ or "", function.__code__, function.__globals__
-    text: Any = code
+    text: Any = _digest_of_code(code)
     if walk.written and not is_known(module):
         try:
             text = inspect.getsource(function)
         except (OSError, TypeError):
-            text = walk.give_up(f"the source of {function.__qualname__}")
-    parts = [f"{module}.{function.__qualname__}" if is_known(module) else text]
+            text = ""
+            walk.give_up(f"the source of {function.__qualname__}")
     names, attributes = global_reads(code)
     defaults, cells = defaults_of(function), cells_of(function)
     if not is_known(module):
         defaults, cells = ({k: walk.lifted(function, k, v) for k, v in of.items()} for of in (defaults, cells))
-    parts += [function.__defaults__ and tuple(defaults.values()), sorted((function.__kwdefaults__ or {}).items())]
-    read = list(cells.items())
+    named = {}
     if not is_known(module) and not is_own(module):
-        read += [(name, held[name] if name in held else sys.modules.get(name)) for name in names]
+        named = {name: held[name] if name in held else sys.modules.get(name) for name in names}
         if dynamic := DYNAMIC_BUILTINS.intersection(names) - held.keys():
-            parts += walk.give_up(f"what {function.__qualname__} reads by {min(dynamic)}()")
-    return [*parts, *((one, *_attributes_read(one[-1], attributes)) for one in read)]
+            walk.give_up(f"what {function.__qualname__} reads by {min(dynamic)}()")
+    read = [("cell", cells), ("default", defaults), ("keyword", function.__kwdefaults__ or {}), ("global", named)]
+    read += [(f"of {name}", _attributes_read(value, attributes)) for name, value in {**cells, **named}.items()]
+    identity = f"{module}.{function.__qualname__}" if is_known(module) else text
+    walk.update(identity, *(f"{kind} {name}" for kind, values in read for name in values))
+    return [value for _, values in read for value in values.values()]
 
 
-def _attributes_read(value: Any, attributes: frozenset[str]) -> list[Any]:
-    """Return the attributes that are read of a module of the user, and of modules in it."""
+def _attributes_read(value: Any, attributes: frozenset[str]) -> dict[str, Any]:
+    """Return the attributes that are read of a module of the user, and of modules in it, by name."""
     if not isinstance(value, types.ModuleType) or is_known(value.__name__) or is_own(value.__name__):
-        return []
-    found = [(name, vars(value)[name]) for name in sorted(attributes & vars(value).keys())]
-    return [(name, member, *_attributes_read(member, attributes - {name})) for name, member in found]
+        return {}
+    found = {name: vars(value)[name] for name in sorted(attributes & vars(value).keys())}
+    within = {name: _attributes_read(member, attributes - {name}) for name, member in found.items()}
+    return found | {f"{name}.{other}": one for name, members in within.items() for other, one in members.items()}
 
 
 @functools.lru_cache(maxsize=4096)

@@ -21,6 +21,7 @@ from numba.core import cgutils, ir
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.ir_utils import build_definitions
+from numba.core.registry import cpu_target
 from numba.core.untyped_passes import FixupArgs
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
@@ -88,12 +89,12 @@ class _Copies:
         self.places, self.lifted = places, set[int]()
         self._made: dict[int, tuple[Any, Any]] = {}
 
-    def of(self, value: Any, attributes: frozenset[str] = frozenset(), compiles: bool = False) -> Any:
-        """Return a value with copies of dispatchers; if `compiles`, plain functions become dispatchers."""
+    def of(self, value: Any, attributes: frozenset[str] = frozenset()) -> Any:
+        """Return a value with copies of dispatchers; functions that Numba does not know become dispatchers."""
         if id(value) in self._made:
             return self._made[id(value)][1]
         if type(value) is tuple:
-            return tuple(self.of(entry, attributes, compiles) for entry in value)
+            return tuple(self.of(entry, attributes) for entry in value)
         if isinstance(value, types.ModuleType) and not is_known(value.__name__):
             module = types.ModuleType(value.__name__)
             self._made[id(value)] = value, module
@@ -102,8 +103,9 @@ class _Copies:
                 {**held, **{name: self.of(held[name], attributes) for name in attributes & held.keys()}}
             )
             return module
-        if isinstance(value, types.FunctionType) and compiles:
-            new = self._dispatcher(numba.njit(value, error_model="numpy"))
+        if isinstance(value, types.FunctionType) and not is_known(value.__module__ or "") and not _is_typed(value):
+            checked = not is_own(value.__module__ or "")
+            new = self._dispatcher(numba.njit(value, error_model="numpy", boundscheck=checked))
             self._made[id(value)] = value, new
             return new
         return self._dispatcher(value) if isinstance(value, numba.core.dispatcher.Dispatcher) else value
@@ -151,7 +153,7 @@ class _Copies:
         held = cells_of(function)
         for name, cell in zip(function.__code__.co_freevars, copy.__closure__ or (), strict=True):
             if name in held:
-                cell.cell_contents = self.of(held[name], attributes, is_own(function.__module__ or ""))
+                cell.cell_contents = self.of(held[name], attributes)
         return copy
 
     def _unfilled(self, function: types.FunctionType) -> types.FunctionType:
@@ -180,6 +182,14 @@ class _Copies:
         copy.lifted = Lifted(readers, called)
         self.lifted.update({id(function)} & {*self.places})
         return copy
+
+
+def _is_typed(function: types.FunctionType) -> bool:
+    """Whether Numba knows a function of Python by another one, such as that of `register_jitable` or `overload`."""
+    try:
+        return bool(cpu_target.typing_context.resolve_value_type(function))
+    except (ValueError, numba.errors.NumbaError):
+        return False
 
 
 def _pipeline(copy: Any) -> dict[str, Any]:

@@ -60,26 +60,21 @@ class ForceTable(NamedTuple):
 def _adapted_matrix_function(
     function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any
 ) -> Callable[..., Any]:
-    import numba
-
-    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
     size = int(np.prod(shape))
 
-    @numba.njit
     def flattened(W: Any) -> Any:
         return np.ascontiguousarray(W).astype(kind).reshape(size).view(np.float64)
 
-    @numba.njit
     def state(y: Any) -> Any:
         return np.ascontiguousarray(y).view(kind).reshape(shape)
 
     if arguments == "t":
-        return lambda y, t: flattened(inner(t))
+        return lambda y, t: flattened(function(t))
     if arguments == "x":
-        return lambda y: flattened(inner(state(y)))
+        return lambda y: flattened(function(state(y)))
     if arguments == "x, t":
-        return lambda y, t: flattened(inner(state(y), t))
-    return lambda y, t: flattened(inner(state(y[:-1]), t, y[-1]))
+        return lambda y, t: flattened(function(state(y), t))
+    return lambda y, t: flattened(function(state(y[:-1]), t, y[-1]))
 
 
 def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
@@ -193,15 +188,12 @@ def _adapted_arguments(
         return _adapted_matrix_function(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
     if arguments in ("x", "x, t"):
         return function
-    import numba
-
-    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
 
     def of_time(y: Any, t: float) -> Any:
-        return inner(t)
+        return function(t)
 
     def of_flow(y: Any, t: float) -> Any:
-        return inner(y[:-1], t, y[-1])
+        return function(y[:-1], t, y[-1])
 
     return of_time if arguments == "t" else of_flow
 

@@ -36,7 +36,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_finite, set_fields
 
 Floats = npt.NDArray[np.float64]
@@ -356,17 +356,16 @@ def attitude_potential(
 ) -> Hamiltonian:
     """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3)."""
     # `gradient` returns the derivatives by r and by A, and `hessian` those of all entries, (12 count, 12 count).
-    energy, axes = callable_from_compiled(potential), 9 * count
+    axes = 9 * count
 
     def value(y: Any) -> Any:
-        return energy(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+        return potential(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
 
     if gradient is None:
         return Hamiltonian(value)
-    slopes = callable_from_compiled(gradient)
 
     def derivative(y: Any) -> Any:
-        by_r, by_A = slopes(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+        by_r, by_A = gradient(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
         result = 0.0 * y
         for k in range(count):
             for i in range(3):
@@ -377,10 +376,9 @@ def attitude_potential(
 
     if hessian is None:
         return Hamiltonian(value, derivative)
-    curvatures = callable_from_compiled(hessian)
 
     def second(y: Any) -> Any:
-        return curvatures(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+        return hessian(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
 
     return Hamiltonian(value, derivative, second)
 

@@ -83,16 +83,22 @@ def bodies_algebra(count: int) -> LieAlgebra:
     return LieAlgebra._from_valid(g.triples, g.dim, basis, name, None, {})
 
 
-def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:
+def axis_products(count: int, dim: int, alone: bool = False) -> KnownInvariants:
     """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies."""
-    found = {}
+    found: dict[str, Callable[[], Quadratic]] = {}
     for body in range(count if count <= MAX_RECORDED_BODIES else 0):
         for a in range(3):
             for b in range(a, 3):
-                pairs = [(_axis(body, a, i), _axis(body, b, i), 1.0 + (a == b)) for i in range(3)]
                 label = f"{AXES[a]}.{AXES[b]}"
-                found[label if alone or dim == PER_BODY else f"{label} [{body + 1}]"] = _form(dim, pairs)
-    return found
+                name = label if alone or dim == PER_BODY else f"{label} [{body + 1}]"
+                found[name] = partial(_axis_product, dim, body, a, b)
+    return KnownInvariants(found)
+
+
+@lru_cache(maxsize=1024)
+def _axis_product(dim: int, body: int, a: int, b: int) -> Quadratic:
+    """Return the product of two space axes of a body, which members of an ensemble share."""
+    return _form(dim, [(_axis(body, a, i), _axis(body, b, i), 1.0 + (a == b)) for i in range(3)])
 
 
 def momentum_in_space(count: int, dim: int, alone: bool = False, turning: bool = True) -> KnownInvariants:

@@ -15,7 +15,6 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import callable_from_compiled
 
 
 def _swinging() -> npt.NDArray[np.float64]:
@@ -156,8 +155,6 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
                     result[i, j] += x[3 * i + k] * y[3 * j + k]
         return result
 
-    scalar_products = callable_from_compiled(scalar_products)
-
     def value(x: Any) -> Any:
         D = scalar_products(x, x)
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
@@ -180,8 +177,6 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
         by_r = -2 * c * (D[2, 3] + u) - 2 * X * (c * e * t1 * t2 / r - (d + c * c) * r * V)
         return r, e, t1, t2, u, Z, X, V, w1, w2, by_r
 
-    shared_terms = callable_from_compiled(shared_terms)
-
     def sums(D: Any) -> Any:
         """Return twice the derivative of 2 d T by each square, and the derivative by each other product."""
         A1, A2, f, s11, s12, s21, s22 = D[0, 0], D[1, 1], D[0, 1], D[0, 2], D[0, 3], D[1, 2], D[1, 3]
@@ -202,8 +197,6 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
                 for k in range(3):
                     result[3 * i + k] += half * S[min(i, j), max(i, j)] * x[3 * j + k]
         return result
-
-    sums, apply_derivatives = callable_from_compiled(sums), callable_from_compiled(apply_derivatives)
 
     def gradient(x: Any) -> Any:
         D = scalar_products(x, x)
@@ -262,8 +255,6 @@ def pendulum_energy(masses: tuple[float, float], lengths: tuple[float, float], g
                 result[3 * i + k] -= dout * x[3 * i + k] + out * v[3 * i + k]
             result[up] -= 0.5 * weight * dA / A
         return result
-
-    gradient_derivative = callable_from_compiled(gradient_derivative)
 
     def hessian(x: Any) -> Any:
         result = np.zeros((len(x), len(x)), dtype=x.dtype)

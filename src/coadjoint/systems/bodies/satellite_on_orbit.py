@@ -27,7 +27,6 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
@@ -268,21 +267,20 @@ def _eccentric_anomaly(mean: float, e: float) -> float:
 @lru_cache(maxsize=64)
 def _inverse_radius(rate: float, e: float) -> Callable[..., Any]:
     """Return the semi-major axis over the radius, a function of the time for compiled functions."""
-    anomaly = callable_from_compiled(_eccentric_anomaly)
 
     def inverse_radius(t: Any) -> Any:
-        return 1.0 / (1.0 - e * np.cos(anomaly(rate * t, e)))
+        return 1.0 / (1.0 - e * np.cos(_eccentric_anomaly(rate * t, e)))
 
-    return callable_from_compiled(inverse_radius)
+    return inverse_radius
 
 
 @lru_cache(maxsize=64)
 def _frame_rate(rate: float, e: float) -> Callable[..., Any]:
     """Return the derivative of the true anomaly, a function of the time for compiled functions."""
     if not e:
-        return callable_from_compiled(lambda t: rate + 0.0 * t)
+        return lambda t: rate + 0.0 * t
     over, fast = _inverse_radius(rate, e), rate * np.sqrt((1.0 - e) * (1.0 + e))
-    return callable_from_compiled(lambda t: fast * over(t) ** 2)
+    return lambda t: fast * over(t) ** 2
 
 
 @lru_cache(maxsize=64)
@@ -307,14 +305,12 @@ def _on_ellipse(rate: float, e: float, tensor: tuple[tuple[float, ...], ...]) ->
         result[2] = g * y[0] + h * y[1] + c * y[2]
         return result
 
-    slopes = callable_from_compiled(slope)
-
     def torque(y: Any, t: Any) -> Any:
-        u = slopes(y)
+        u = slope(y)
         return 1.5 * rate**2 * over(t) ** 3 * (u[0] * y[0] + u[1] * y[1] + u[2] * y[2])
 
     def torque_gradient(y: Any, t: Any) -> Any:
-        return 3.0 * rate**2 * over(t) ** 3 * slopes(y)
+        return 3.0 * rate**2 * over(t) ** 3 * slope(y)
 
     def torque_hessian(y: Any, t: Any) -> Any:
         return 3.0 * rate**2 * over(t) ** 3 * np.array([[a, f, g], [f, b, h], [g, h, c]])

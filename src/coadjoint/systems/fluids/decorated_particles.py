@@ -23,7 +23,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import callable_from_compiled, check_derivative
+from coadjoint.systems.user_functions import check_derivative
 from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
@@ -313,8 +313,8 @@ def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:
 def potential_energy(w: Floats, external: DerivativeFunctions, pair: DerivativeFunctions) -> Hamiltonian:
     """Return the potential energy as a function of (q_1, ..., q_n, x20_1, ..., x20_n); see `decorated_particles`."""
     n = len(w)
-    W0, W1, W2, W3 = map(callable_from_compiled, external)
-    U0, U1, U2, U3 = map(callable_from_compiled, pair)
+    W0, W1, W2, W3 = external
+    U0, U1, U2, U3 = pair
 
     def value(y: Any) -> Any:
         total = 0.0 * y[0]

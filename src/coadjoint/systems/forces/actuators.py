@@ -14,7 +14,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.inertia import inverse_of, moments_of_wheels
 from coadjoint.systems.forces.body_torque import read_limits
 from coadjoint.systems.forces.sampled import Sampled
-from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import read_positive
 
 FLAT = 1e-9
@@ -191,12 +190,12 @@ class ControlMomentGyros(Sampled):
     def _command(self, system: Any) -> Callable[..., Any]:
         gyros, count, wheels = system.gyros, self._count(system), len(system.wheels)
         begin, limit = system.first_carried + wheels, super()._command(system)
-        limited, most = callable_from_compiled(limit), np.inf if self.max_rate is None else self.max_rate
+        most = np.inf if self.max_rate is None else self.max_rate
         at_zero, at_right = (np.ascontiguousarray(gyros[:, k]) for k in (0, 1))
         added = self.regularization * float((at_zero * at_zero).sum()) / 3.0
 
         def command(torque: Any, x: Any) -> Any:
-            N = limited(torque, x)
+            N = limit(torque, x)
             # B B^T with the columns of B, and its inverse by cofactors.
             xx, yy, zz, xy, xz, yz = added, added, added, 0.0, 0.0, 0.0
             for k in range(count):
@@ -219,11 +218,10 @@ class ControlMomentGyros(Sampled):
 
     def _act(self, system: Any, begin: int) -> Callable[..., None]:
         count, start = self._count(system), system.first_carried + len(system.wheels)
-        turned = callable_from_compiled(rotated)
 
         def act(y: Any, t: Any, tau: Any) -> None:
             for k in range(count):
-                c, s = turned(y[start + 2 * k], y[start + 2 * k + 1], tau * y[begin + k])
+                c, s = rotated(y[start + 2 * k], y[start + 2 * k + 1], tau * y[begin + k])
                 y[start + 2 * k], y[start + 2 * k + 1] = c, s
 
         return act

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
-from coadjoint.systems.user_functions import callable_from_compiled
 
 PER_BODY = 12  # L, and the three space axes seen from the body
 
@@ -51,14 +50,14 @@ def velocity_of(system: Any, *, in_frame: bool) -> Callable[..., Any]:
             omega = omega + W[:, i] * x[i]
         return omega
 
-    turning, inertial = system.frame_rate, callable_from_compiled(velocity)
+    turning = system.frame_rate
     if turning is None or not in_frame:
-        return inertial
+        return velocity
 
     def relative(x: Any, t: Any) -> Any:
-        return inertial(x, t) - turning(t) * x[9:12]
+        return velocity(x, t) - turning(t) * x[9:12]
 
-    return callable_from_compiled(relative)
+    return relative
 
 
 def velocities_of(system: Any) -> Callable[..., Any]:
@@ -71,4 +70,4 @@ def velocities_of(system: Any) -> Callable[..., Any]:
         L = np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 0, :])
         return inverse[:, :, 0] * L[:, :1] + inverse[:, :, 1] * L[:, 1:2] + inverse[:, :, 2] * L[:, 2:]
 
-    return callable_from_compiled(velocities)
+    return velocities

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.angular_velocity import velocity_of
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
-from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_choice, read_finite
 
 
@@ -40,6 +40,9 @@ class BodyTorque(StateTorque):
         if self.sees_attitude:
             check_attitude(system, self.label)
 
+    def _check_kinds(self, system: Any) -> None:
+        """Pass: a torque in the body frame changes the momentum of the body alone."""
+
     def on_state(self, system: Any) -> tuple[Callable[..., Any], str]:
         return _on_state(self, system)
 
@@ -50,11 +53,10 @@ def _on_state(force: BodyTorque, system: Any) -> tuple[Callable[..., Any], str]:
     torque = force.torque_on(system)
     if force.sees_attitude:
         return torque_on_state(torque, "x, A, t", system)
-    function = callable_from_compiled(torque)
 
     def of_momentum(x: Any, t: Any) -> Any:
         result = 0.0 * x
-        result[:3] = function(x, t)
+        result[:3] = torque(x, t)
         return result
 
     return of_momentum, "x, t"
@@ -83,12 +85,6 @@ def cross(a: Any, b: Any) -> Any:
     return result
 
 
-@cache
-def body_products() -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return `to_body` and `cross` for functions that Numba compiles; it is imported when a torque is used."""
-    return callable_from_compiled(to_body), callable_from_compiled(cross)
-
-
 def read_prescribed(value: Any, what: str, shape: tuple[int, ...] = (3,)) -> Any:
     """Validate a constant vector of space, or a function of the time that returns one."""
     if callable(value):
@@ -101,8 +97,8 @@ def read_prescribed(value: Any, what: str, shape: tuple[int, ...] = (3,)) -> Any
 
 
 def prescribed(value: Any) -> Callable[..., Any]:
-    """Return a prescribed vector as a function of the time, which compiled functions can call."""
-    return callable_from_compiled(value if callable(value) else constant_in_time(np.array(value)))
+    """Return a prescribed vector as a function of the time."""
+    return value if callable(value) else constant_in_time(np.array(value))
 
 
 def read_tensor(value: Any, what: str) -> Any:
@@ -221,12 +217,11 @@ class Pointing(BodyTorque):
         return bool(np.any(self.stiffness)) or callable(self.rate) or any(self.rate or ())
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        in_body, _ = body_products()
         K, C = tensor(self.stiffness), tensor(self.damping)
         wanted = prescribed(np.eye(3) if self.attitude is None else self.attitude)
         in_frame, limited = self.rate is None, limited_by(self.max_torque)
         velocity, rate = velocity_of(system, in_frame=in_frame), prescribed(np.zeros(3) if in_frame else self.rate)
-        error = callable_from_compiled(sine_error if self.error == "sine" else quaternion_error)
+        error = sine_error if self.error == "sine" else quaternion_error
 
         def damper(x: Any, t: Any) -> Any:
             omega = velocity(x, t)
@@ -235,8 +230,8 @@ class Pointing(BodyTorque):
         def spring(x: Any, A: Any, t: Any) -> Any:
             D = wanted(t)
             # The rows of the relative attitude, from the body to the wanted one.
-            e = error(in_body(A, D[:, 0]), in_body(A, D[:, 1]), in_body(A, D[:, 2]))
-            d = velocity(x, t) - in_body(A, rate(t))
+            e = error(to_body(A, D[:, 0]), to_body(A, D[:, 1]), to_body(A, D[:, 2]))
+            d = velocity(x, t) - to_body(A, rate(t))
             pull = K[:, 0] * e[0] + K[:, 1] * e[1] + K[:, 2] * e[2]
             return limited(-(pull + C[:, 0] * d[0] + C[:, 1] * d[1] + C[:, 2] * d[2]))
 
@@ -263,13 +258,13 @@ def _read_wanted(value: Any, what: str) -> Any:
 def limited_by(limits: Any) -> Callable[..., Any]:
     """Return the function that limits each component of a vector; None is no limit."""
     if limits is None:
-        return callable_from_compiled(lambda v: v)
+        return lambda v: v
     most = np.array(np.broadcast_to(limits, 3))
 
     def limited(v: Any) -> Any:
         return np.minimum(np.maximum(v, -most), most)
 
-    return callable_from_compiled(limited)
+    return limited
 
 
 def sine_error(X: Any, Y: Any, Z: Any) -> Any:

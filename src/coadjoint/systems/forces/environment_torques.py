@@ -12,14 +12,15 @@ from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
-    body_products,
     check_value,
+    cross,
     prescribed,
     read_prescribed,
     read_tensor,
     tensor,
+    to_body,
 )
-from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 
@@ -83,7 +84,6 @@ class GravityGradient(BodyTorque):
             )
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        in_body, crossed = body_products()
         inertia = np.ascontiguousarray(system.inertias[0].anisotropic)
         mu, position, Q = self.mu, prescribed(self.position), tensor(self.quadrupole)
         Q = 0.5 * (Q + Q.T) - np.trace(Q) / 3.0 * np.eye(3)
@@ -93,21 +93,21 @@ class GravityGradient(BodyTorque):
             r = position(t)
             square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
             fifth = mu / (square * square * np.sqrt(square))
-            inside = in_body(A, r)
+            inside = to_body(A, r)
             lever = inertia[0] * inside[0] + inertia[1] * inside[1] + inertia[2] * inside[2]
             if round_centre:
-                return 3.0 * fifth * crossed(inside, lever)
+                return 3.0 * fifth * cross(inside, lever)
             # The gradient is -(a r r + b (w r + r w) - c Q), with w = Q r.
             w = Q[0] * r[0] + Q[1] * r[1] + Q[2] * r[2]
             q = w[0] * r[0] + w[1] * r[1] + w[2] * r[2]
             a = 3.0 * fifth - 52.5 * fifth * q / (square * square)
             b = 15.0 * fifth / square
-            other = in_body(A, w)
+            other = to_body(A, w)
             moved = inertia[0] * other[0] + inertia[1] * other[1] + inertia[2] * other[2]
-            result = crossed(a * inside + b * other, lever) + b * crossed(inside, moved)
+            result = cross(a * inside + b * other, lever) + b * cross(inside, moved)
             for k in range(3):
                 first = inertia[0] * A[k, 0] + inertia[1] * A[k, 1] + inertia[2] * A[k, 2]
-                result = result + 3.0 * fifth * crossed(first, in_body(A, Q[k]))
+                result = result + 3.0 * fifth * cross(first, to_body(A, Q[k]))
             return result
 
         return torque
@@ -165,19 +165,18 @@ class MagneticDipole(BodyTorque):
             )
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        in_body, crossed = body_products()
         moment = np.array(self.moment)
         if self.position is None:
             field = prescribed(self.B)
 
             def torque(x: Any, A: Any, t: Any) -> Any:
-                return crossed(moment, in_body(A, field(t)))
+                return cross(moment, to_body(A, field(t)))
 
             return torque
-        given, position = callable_from_compiled(self.B), prescribed(self.position)
+        given, position = self.B, prescribed(self.position)
 
         def along_path(x: Any, A: Any, t: Any) -> Any:
-            return crossed(moment, in_body(A, given(t, position(t))))
+            return cross(moment, to_body(A, given(t, position(t))))
 
         return along_path
 
@@ -272,17 +271,16 @@ class SolarPressure(BodyTorque):
         return as_tuples(array)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        in_body, crossed = body_products()
         pressure, sun, count = self.pressure, prescribed(self.sun), len(self.areas)
         a, n, c = np.array(self.areas), np.array(self.normals), np.array(self.centres)
         mirror, matt = (np.array(np.broadcast_to(share, count)) for share in (self.specular, self.diffuse))
 
         def torque(x: Any, A: Any, t: Any) -> Any:
-            s, result = in_body(A, sun(t)), 0.0 * x[:3]
+            s, result = to_body(A, sun(t)), 0.0 * x[:3]
             for k in range(count):
                 along = s[0] * n[k, 0] + s[1] * n[k, 1] + s[2] * n[k, 2]
                 turned = (1.0 - mirror[k]) * s + 2.0 * (mirror[k] * along + matt[k] / 3.0) * n[k]
-                result = result - pressure * a[k] * (along * (along > 0.0)) * crossed(c[k], turned)
+                result = result - pressure * a[k] * (along * (along > 0.0)) * cross(c[k], turned)
             return result
 
         return torque
@@ -338,15 +336,14 @@ class Drag(BodyTorque):
         self._read(density=read_number, coefficient=read_number, velocity=read_prescribed)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        in_body, crossed = body_products()
         factor, velocity, count = 0.5 * self.density * self.coefficient, prescribed(self.velocity), len(self.areas)
         a, n, c = np.array(self.areas), np.array(self.normals), np.array(self.centres)
 
         def torque(x: Any, A: Any, t: Any) -> Any:
-            v, result = in_body(A, velocity(t)), 0.0 * x[:3]
+            v, result = to_body(A, velocity(t)), 0.0 * x[:3]
             for k in range(count):
                 along = v[0] * n[k, 0] + v[1] * n[k, 1] + v[2] * n[k, 2]
-                result = result - factor * a[k] * (along * (along > 0.0)) * crossed(c[k], v)
+                result = result - factor * a[k] * (along * (along > 0.0)) * cross(c[k], v)
             return result
 
         return torque

@@ -16,7 +16,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.body_torque import Pointing, check_one_body, limited_by, read_limits
 from coadjoint.systems.forces.torque import StateTorque, sample_state
-from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import read_integer, read_positive
 
 DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square
@@ -189,7 +188,7 @@ def flows_of(forces: Sequence[Force]) -> tuple[tuple[int, Force], ...]:
 @lru_cache(maxsize=1024)
 def _action(force: Sampled, system: Any) -> Callable[..., None]:
     """Return the function (y, t, tau) by which a held command moves a state in place."""
-    return callable_from_compiled(force._act(system, _begin(force, system)))
+    return force._act(system, _begin(force, system))
 
 
 @lru_cache(maxsize=1024)
@@ -220,7 +219,7 @@ def _flow_of(evaluated: tuple[Sampled, ...], force: Sampled, system: Any) -> Cal
 def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
     """Return the function that writes into y what a force holds after a sample of x."""
     begin, count, period = _begin(force, system), force._count(system), force.period
-    law, command = _law_of(force.law, system), callable_from_compiled(force._command(system))
+    law, command = _law_of(force.law, system), force._command(system)
 
     def sample(x: Any, y: Any, t: Any, tau: Any) -> None:
         # The halves of a step begin at the multiples of tau, and whole steps at even ones.
@@ -229,7 +228,7 @@ def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
             for i in range(count):
                 y[begin + i] = values[i]
 
-    return callable_from_compiled(sample)
+    return sample
 
 
 def _both(one: Callable[..., None], other: Callable[..., None]) -> Callable[..., None]:
@@ -237,7 +236,7 @@ def _both(one: Callable[..., None], other: Callable[..., None]) -> Callable[...,
         one(x, y, t, tau)
         other(x, y, t, tau)
 
-    return callable_from_compiled(both)
+    return both
 
 
 def _begin(force: Sampled, system: Any) -> int:
@@ -248,10 +247,9 @@ def _begin(force: Sampled, system: Any) -> int:
 def _law_of(law: StateTorque, system: Any) -> Callable[..., Any]:
     """Return the torque of a law in the body frame, (3,), as a function of (x, t) for compiled functions."""
     function, arguments = law.law_on_state(system)
-    inner = callable_from_compiled(function)
     forms: Mapping[str, Callable[..., Any]] = {
-        "t": lambda x, t: inner(t)[:3],
-        "x": lambda x, t: inner(x)[:3],
-        "x, t": lambda x, t: inner(x, t)[:3],
+        "t": lambda x, t: function(t)[:3],
+        "x": lambda x, t: function(x)[:3],
+        "x, t": lambda x, t: function(x, t)[:3],
     }
-    return callable_from_compiled(forms[arguments])
+    return forms[arguments]

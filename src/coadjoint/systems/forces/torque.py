@@ -18,7 +18,6 @@ from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
     KNOWN_NAMES,
-    callable_from_compiled,
     check_arguments,
     kind_of_name,
     names_of,
@@ -150,7 +149,7 @@ def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> 
 def _torque_on_state(
     torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int, velocities: Any
 ) -> tuple[Callable[..., Any], str]:
-    function, count = callable_from_compiled(torque), bodies[0] if bodies else 1
+    count = bodies[0] if bodies else 1
 
     def attitude_of_body(x: Any, t: Any) -> Any:
         return x[3:PER_BODY].reshape(3, 3)
@@ -168,11 +167,11 @@ def _torque_on_state(
                 result[PER_BODY * k + i] = values[k, i]
         return result
 
-    placed = callable_from_compiled(place_on_bodies if bodies else place_on_body)
+    placed = place_on_bodies if bodies else place_on_body
     if arguments == "t":
-        return lambda t: placed(function(t), 0.0 * t + np.zeros(dim)), "t"  # an array of JAX if t is one
+        return lambda t: placed(torque(t), 0.0 * t + np.zeros(dim)), "t"  # an array of JAX if t is one
     attitudes = attitudes_of_bodies if bodies else attitude_of_body
-    called, which = _called_in_order(function, arguments, attitudes, velocities)
+    called, which = _called_in_order(torque, arguments, attitudes, velocities)
     if which == "x":
         return lambda x: placed(called(x), 0.0 * x), which
     return lambda x, t: placed(called(x, t), 0.0 * x), which
@@ -184,9 +183,7 @@ def _called_in_order(
     """Return a function of other arguments as one of (x) or (x, t), and which."""
     values = {"x": lambda x, t: x, "t": lambda x, t: t, "A": attitudes, "omega": velocities}
     names = arguments.split(", ")
-    first, second, third, fourth = (
-        callable_from_compiled(values[name]) for name in (*names, *["x"] * (4 - len(names)))
-    )
+    first, second, third, fourth = (values[name] for name in (*names, *["x"] * (4 - len(names))))
     of_state: list[Callable[..., Any]] = [
         lambda x: function(first(x, 0.0)),
         lambda x: function(first(x, 0.0), second(x, 0.0)),
@@ -199,7 +196,7 @@ def _called_in_order(
         lambda x, t: function(first(x, t), second(x, t), third(x, t), fourth(x, t)),
     ]
     chosen = (of_time if "t" in names else of_state)[len(names) - 1]
-    return callable_from_compiled(chosen), "x, t" if "t" in names else "x"
+    return chosen, "x, t" if "t" in names else "x"
 
 
 def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
@@ -414,7 +411,7 @@ def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) ->
 
 @lru_cache(maxsize=64)
 def _in_order(torque: Callable[..., Any], arguments: str) -> tuple[Callable[..., Any], str]:
-    return _called_in_order(callable_from_compiled(torque), arguments)
+    return _called_in_order(torque, arguments)
 
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:

@@ -38,7 +38,6 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
 from coadjoint.systems.user_functions import (
     SumOfShares,
     all_take_time,
-    callable_from_compiled,
     check_derivative,
     multiple_of,
     numbers_at_samples,
@@ -263,7 +262,7 @@ class FunctionOfConstants(NamedTuple):
     def hamiltonian(self) -> Hamiltonian:
         """Return the function of y, bound without a check of the derivatives, which takes minutes for 200 bodies."""
         c = self.constants
-        value, gradient, hessian = map(callable_from_compiled, (self.value, self.gradient, self.hessian))
+        value, gradient, hessian = self.value, self.gradient, self.hessian
         functions: tuple[Callable[..., Any], ...] = (lambda y: value(y, c)), (lambda y: gradient(y, c))
         if self.shares > 1:
             shares = (lambda y, k: value(y, c, k)), (lambda y, k: gradient(y, c, k))

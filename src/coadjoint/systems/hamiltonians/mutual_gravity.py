@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
-from coadjoint.systems.user_functions import ALL_SHARES, bodies_of_shares, callable_from_compiled, number_of_shares
+from coadjoint.systems.user_functions import ALL_SHARES, bodies_of_shares, number_of_shares
 
 Numbers = npt.NDArray[Any]
 
@@ -161,8 +161,8 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
     functions = value, gradient, hessian
     if order < 4:
         return functions
-    v, g, h = map(callable_from_compiled, functions)
-    more_v, more_g, more_h = map(callable_from_compiled, fourth_order_terms(count))
+    v, g, h = functions
+    more_v, more_g, more_h = fourth_order_terms(count)
     return (
         lambda y, constants, share=ALL_SHARES: v(y, constants, share) + more_v(y, constants, share),
         lambda y, constants, share=ALL_SHARES: g(y, constants, share) + more_g(y, constants, share),
@@ -208,8 +208,6 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                     u[3 * n + a] += body[a, b] * e[3 * n + b]
         return R, square, w, e, g, u, AD, S
 
-    found = callable_from_compiled(parts)
-
     def value(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
         begin, step = bodies_of(share)
         G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
@@ -217,7 +215,7 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
         total = 0.0 * y[0]
         for i in range(begin, count, step):
             for j in range(i):
-                _, square, w, e, g, _, _, S = found(y, D, i, j)
+                _, square, w, e, g, _, _, S = parts(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))
                 first, second, mixed, own, other = 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0]
                 trace = 0.0 * y[0]
@@ -243,7 +241,7 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
         result = 0.0 * y
         for i in range(begin, count, step):
             for j in range(i):
-                R, square, w, e, g, u, AD, S = found(y, D, i, j)
+                R, square, w, e, g, u, AD, S = parts(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))
                 q, own, mixed, trace = 0.0 * y[:2], 0.0 * y[:2], 0.0 * y[0], 0.0 * y[0]
                 for a in range(3):
@@ -286,14 +284,12 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                     result[axes + 3 * j + a] -= along * R[a] / square
         return result
 
-    slopes = callable_from_compiled(gradient)
-
     def hessian(y: Any, constants: Any) -> Any:
         result = np.outer(0.0 * y, y)
         for k in range(len(y)):
             moved = y + 0.0j
             moved[k] += 1j * STEP
-            change = slopes(moved, constants)
+            change = gradient(moved, constants)
             for n in range(len(y)):
                 result[n, k] = change[n].imag / STEP
         return result

@@ -11,7 +11,6 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.user_functions import (
     ALL_SHARES,
     bodies_of_shares,
-    callable_from_compiled,
     number_of_shares,
     shared,
 )
@@ -98,19 +97,17 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
         value = 1.0 - x * x * x * (10.0 + x * (6.0 * x - 15.0))
         return value, -30.0 * left * left / width, -60.0 * left * (1.0 - 2.0 * x) / (width * width)
 
-    sites, separation, switch = (callable_from_compiled(f) for f in (in_space, apart, switched))
-
     def gathered(y: Any, m: int, kind: int, seen: Any, rows: Any) -> int:
         """Find the later molecules of a kind within the cutoff of one, and return their number."""
         n = 0
         for j in range(max(m + 1, begins[kind]), begins[kind + 1]):
             if limited:
-                dx, dy, dz, px, py, pz = separation(y, m, j)
+                dx, dy, dz, px, py, pz = apart(y, m, j)
                 square = dx * dx + dy * dy + dz * dz
                 if square >= cutoff * cutoff:
                     continue
                 distance = np.sqrt(square)
-                value, slope, _ = switch(distance)
+                value, slope, _ = switched(distance)
                 rows[W + n], rows[D + n], rows[E + n] = value, slope / distance, 0.0
                 rows[CX + n], rows[CY + n], rows[CZ + n] = dx, dy, dz
                 rows[PX + n], rows[PY + n], rows[PZ + n] = px, py, pz
@@ -172,50 +169,47 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
             fz += rows[GZ + k]
         return fx, fy, fz
 
-    gather, copy, add_energies = (callable_from_compiled(f) for f in (gathered, copied, energies))
-    set_slopes, add_up = (callable_from_compiled(f) for f in (slopes, added_up))
-
     def value(y: Any, share: Any = ALL_SHARES) -> Any:
-        s, total, seen = sites(y), 0.0 * y[0], np.zeros(longest, dtype=np.int64)
+        s, total, seen = in_space(y), 0.0 * y[0], np.zeros(longest, dtype=np.int64)
         rows, (begin, step) = np.zeros(18 * longest) + total, bodies_of(share)
         for m in range(begin, count - 1, step):
             own = kind_of[m]
             for kind in range(own, kinds):
-                n = gather(y, m, kind, seen, rows)
+                n = gathered(y, m, kind, seen, rows)
                 for k in range(n):
                     rows[E + k] = 0.0
                 for other in range(first_type[kind], first_type[kind + 1]):
-                    copy(s, other, seen, rows, n)
+                    copied(s, other, seen, rows, n)
                     for one in range(first_type[own], first_type[own + 1]):
                         at = first_site[one] + m - begins[own]
                         x, v, z = s[at], s[size + at], s[2 * size + at]
                         q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
-                        add_energies(rows, n, x, v, z, q, a, b)
+                        energies(rows, n, x, v, z, q, a, b)
                 for k in range(n):
                     total += rows[W + k] * rows[E + k] if limited else rows[E + k]
         return total
 
     def gradient(y: Any, share: Any = ALL_SHARES) -> Any:
-        s, result, seen = sites(y), 0.0 * y, np.zeros(longest, dtype=np.int64)
+        s, result, seen = in_space(y), 0.0 * y, np.zeros(longest, dtype=np.int64)
         begin, step = bodies_of(share)
         f, rows = 0.0 * s, np.zeros(18 * longest) + result[0]
         for m in range(begin, count - 1, step):
             own = kind_of[m]
             for kind in range(own, kinds):
-                n = gather(y, m, kind, seen, rows)
+                n = gathered(y, m, kind, seen, rows)
                 for other in range(first_type[kind], first_type[kind + 1]):
-                    copy(s, other, seen, rows, n)
+                    copied(s, other, seen, rows, n)
                     for one in range(first_type[own], first_type[own + 1]):
                         at = first_site[one] + m - begins[own]
                         x, v, z = s[at], s[size + at], s[2 * size + at]
                         q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
-                        set_slopes(rows, n, x, v, z, q, a, b)
-                        fx, fy, fz = add_up(rows, n)
+                        slopes(rows, n, x, v, z, q, a, b)
+                        fx, fy, fz = added_up(rows, n)
                         f[at] += fx
                         f[size + at] += fy
                         f[2 * size + at] += fz
                         if limited:
-                            add_energies(rows, n, x, v, z, q, a, b)
+                            energies(rows, n, x, v, z, q, a, b)
                     for i in range(3):
                         for k in range(n):
                             f[size * i + first_site[other] + seen[k]] += rows[FX + longest * i + k]
@@ -246,16 +240,14 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                 if i == j:
                     second[c, e] += factor * g * one * other
 
-    add_second = callable_from_compiled(added)
-
     def hessian(y: Any) -> Any:
-        s, result = sites(y), np.outer(0.0 * y, y)
+        s, result = in_space(y), np.outer(0.0 * y, y)
         d, lever, centre = np.zeros(3) + result[0, 0], np.zeros((2, 4)), np.zeros((2, 4))
         centre[0, 3] = lever[0, 3] = 1.0
         centre[1, 3] = lever[1, 3] = -1.0
         for m in range(count):
             for j in range(m + 1, count):
-                dx, dy, dz, px, py, pz = separation(y, m, j)
+                dx, dy, dz, px, py, pz = apart(y, m, j)
                 distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                 if limited and cutoff <= distance:
                     continue
@@ -277,15 +269,15 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                         energy += bare + q * (field * square - shift) + (a * sixth - b) * sixth
                         g = 2.0 * field * q - (bare + (12.0 * a * sixth - 6.0 * b) * sixth) * u
                         h = (3.0 * bare + (168.0 * a * sixth - 48.0 * b) * sixth) * u * u
-                        add_second(slope, second, d, lever, g, h, 1.0)
+                        added(slope, second, d, lever, g, h, 1.0)
                 if limited:
-                    weight, first, again = switch(distance)
+                    weight, first, again = switched(distance)
                     for c in range(24):
                         for e in range(24):
                             second[c, e] *= weight
                     d[0], d[1], d[2] = dx, dy, dz
                     along, first = np.zeros(24) + 0.0 * energy, first / distance
-                    add_second(along, second, d, centre, first, (again - first) / distance**2, energy)
+                    added(along, second, d, centre, first, (again - first) / distance**2, energy)
                     second += np.outer(along, slope) + np.outer(slope, along)
                 for c in range(24):
                     row = first_r + 3 * (m, j)[c // 12] + c % 12 // 4

@@ -17,7 +17,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of, starts_of_rows
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lattices.geometry import CELLS, OPEN_LATTICES, lattice_positions, sizes_of
-from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import check_arguments
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -142,8 +142,8 @@ def driving_field(force: Callable[..., Any], sites: int) -> tuple[SplitHamiltoni
         raise ValueError(f"field(t) has shape {values.shape}; it must return (3,) or ({sites}, 3)")
     if not np.isfinite(values).all():
         raise ValueError("field(0.0) is not finite; give a function with finite values")
-    compiled, uniform = callable_from_compiled(force), values.ndim == 1
-    pieces = [(range(axis, 3 * sites, 3), _drive(compiled, axis, sites, uniform)) for axis in range(3)]
+    uniform = values.ndim == 1
+    pieces = [(range(axis, 3 * sites, 3), _drive(force, axis, sites, uniform)) for axis in range(3)]
     return SplitHamiltonian(pieces), uniform
 
 
