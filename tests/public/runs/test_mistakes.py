@@ -28,7 +28,7 @@ class Tensor:
 
 
 def helper(y):
-    return np.sin(y)
+    return y.__float__()
 
 
 def run(*args, **kwargs):
@@ -141,7 +141,10 @@ MISTAKES = {
     "an energy that is nothing": (lambda: with_energy(lambda x: None), "None", "one number"),
     "an energy that is a comparison": (lambda: with_energy(lambda x: x[0] > 0), "truth value", "one number"),
     "a comparison with a gradient": (lambda: with_energy(co.Hamiltonian(lambda x: x[0] > 0, np.ones_like)), "truth"),
-    "a helper that is not compiled": (lambda: full(events=co.Event(lambda x: helper(x[0]))), "helper", "@numba.njit"),
+    "a line that Numba refuses": (
+        lambda: full(events=co.Event(lambda x: helper(x[0]))),
+        f"line {helper.__code__.co_firstlineno + 1} of test_mistakes.py: return y.__float__()",
+    ),
     "a tensor with gradients": (lambda: run(Tensor(), SPAN, 0.1), "x0", "requires_grad", "co.torch"),
     "a modified Hamiltonian of a scheme without flows": (
         lambda: co.modified_hamiltonian(BODY, co.GaussLegendre(2)),

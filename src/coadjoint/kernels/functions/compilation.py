@@ -15,6 +15,7 @@ from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -35,6 +36,7 @@ from coadjoint.systems.user_functions import MultipleOf
 SIGNATURE = numba_types.void(POINTER, numba_types.float64, POINTER, POINTER)
 NO_CONSTANTS = np.zeros(0)
 _COMPILED: dict[Any, Any] = {}
+OWN_FOLDER = Path(__file__).resolve().parents[2]
 _CONSTANT: dict[str, bool] = {}
 """Digests of functions whose constants are compiled into their machine code."""
 _warned: set[str] = set()
@@ -180,17 +182,23 @@ def attempting(*chosen: int) -> Any:
     return attempt
 
 
+PLACE = re.compile(r'File "([^"]*)", line (\d+):\n(.*?)\n[^\n]*\^', re.DOTALL)
+"""A place in the text of a Numba error: file, line, and the source with the line above the mark."""
+
+
 def numba_error_text(error: Exception) -> str:
-    """Return the informative lines of a Numba error, joined to one line; of a call of a Python function, its name."""
+    """Return what a Numba error says of a function in one line, with the line of its source that Numba refuses."""
     _, calls, text = str(error).partition("<intrinsic attempt>")
     text = text.partition("raised a specific error:")[2] if calls else str(error)
-    if helper := re.search(r"Untyped global name '(\w+)'[^\n]*\s*[^\n]*<class 'function'>", text):
-        return f"it calls the Python function {helper[1]}; compile that one too, by the decorator @numba.njit"
-    lines = [line.strip(" -\x1b[0123456789;m").removeprefix("TypingError: ") for line in text.splitlines()]
-    informative = [
-        line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
-    ]
-    return " ".join(informative[:3])[:400]
+    text = re.sub("\x1b\\[[0-9;]*m", "", text)
+    lines = [line.strip(" -").removeprefix("TypingError: ") for line in text.partition('File "')[0].splitlines()]
+    informative = [line for line in lines if line and not line.startswith(("Failed in", "During:", "For more", "<"))]
+    reason = " ".join(informative[:3])[:400].rstrip(".")
+    for file, number, source in PLACE.findall(text):
+        if OWN_FOLDER not in Path(file).resolve().parents:
+            shown = source.splitlines()[-1].strip()
+            return f"{reason}, in line {number} of {Path(file).name}" + (f": {shown}" if "<source" not in shown else "")
+    return reason
 
 
 STEP_SIGNATURE = numba_types.int64(
