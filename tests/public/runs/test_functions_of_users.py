@@ -14,7 +14,7 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-pytest.importorskip("numba")
+numba = pytest.importorskip("numba.extending")
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
@@ -82,6 +82,24 @@ def test_machine_code_follows_every_edit_also_of_the_same_system(decorator):
         expected = rate() * (0.5 if getattr(module.deepest, "py_func", module.deepest)(1.0) != module.K else 1.0)
         assert angle() == pytest.approx(expected, rel=1e-14)
     np.testing.assert_array_equal(ready.run([0.3, 1.0, 0.0], (0.0, 0.5)).x[-1], first)
+
+
+def described(y):
+    return 2.0 * y if str(y) else 0.0
+
+
+def doubled(y):
+    return lambda y: 2.0 * y
+
+
+def test_a_function_that_numba_knows_by_another_one_is_not_compiled_itself():
+    """Numba does not compile `described`, and is given another function for it after other functions were compiled."""
+    other = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (lambda y: y**2 + 0.7, lambda y: 2.0 * y)}))
+    co.integrate(other, [0.3, 1.0, 0.0], (0.0, 0.1), 0.1)
+    numba.overload(described)(doubled)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (lambda y: y**2, described)}))
+    end = co.integrate(system, [0.3, 1.0, 0.0], (0.0, 0.5), 0.5, co.Splitting()).x[-1]
+    assert abs(math.atan2(end[2], end[1])) == pytest.approx(0.3, rel=1e-14)
 
 
 def test_what_cannot_be_followed_is_compiled_again_with_a_warning():

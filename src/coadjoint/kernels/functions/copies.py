@@ -186,8 +186,10 @@ class _Copies:
 
 def _is_typed(function: types.FunctionType) -> bool:
     """Whether Numba knows a function of Python by another one, such as that of `register_jitable` or `overload`."""
+    typing = cpu_target.typing_context
+    typing.refresh()  # with those that were declared since something was compiled
     try:
-        return bool(cpu_target.typing_context.resolve_value_type(function))
+        return bool(typing.resolve_value_type(function))
     except (ValueError, numba.errors.NumbaError):
         return False
 
