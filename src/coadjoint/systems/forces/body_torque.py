@@ -56,7 +56,9 @@ def _on_state(force: BodyTorque, system: Any) -> tuple[Callable[..., Any], str]:
 
     def of_momentum(x: Any, t: Any) -> Any:
         result = 0.0 * x
-        result[:3] = torque(x, t)
+        value = torque(x, t)
+        for i in range(3):
+            result[i] = value[i]
         return result
 
     return of_momentum, "x, t"

@@ -158,7 +158,10 @@ def _torque_on_state(
         return np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 1:, :])
 
     def place_on_body(value: Any, result: Any) -> Any:
-        result[:3] = value
+        if len(value) != 3:
+            raise ValueError("a torque has other than three components")
+        for i in range(3):  # a slice compiles in seconds
+            result[i] = value[i]
         return result
 
     def place_on_bodies(values: Any, result: Any) -> Any:
