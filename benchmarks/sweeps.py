@@ -103,7 +103,7 @@ def main() -> None:
         systems = [make(float(factor)) for factor in factors]
         one = systems[len(systems) // 2]
         state = np.linspace(0.2, 0.9, one.dim)
-        if one.algebra.basis[-1] == "z":  # of systems with positions
+        if one.name in ("bodies", "gravitating_bodies", "decorated_particles"):  # of systems with positions
             state[-1] = 1.0
         with suppress(AttributeError, TypeError, ValueError):
             state = np.ravel(one.state(angular_velocity=(0.1, 0.2, 0.3)))

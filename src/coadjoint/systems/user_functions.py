@@ -96,7 +96,7 @@ def number_of_shares(bodies: int) -> int:
     return min(bodies // BODIES_OF_A_SHARE, MAX_SHARES) if bodies >= LEAST_SHARED_BODIES else 1
 
 
-ALL_SHARES = -1.0
+ALL_SHARES = -1  # a whole number, since floats of functions are data, which calls that give an argument cannot pass on
 
 
 def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import connected, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.separated_function import recorded_function
 from coadjoint.systems.hamiltonians.terms import BuiltIn, FunctionTerm, PolynomialTerm, QuadraticTerm, Term, built_in
@@ -93,9 +94,10 @@ def cancelling(products: Sequence[tuple[int, int, Iterable[GradientTerm], Any]])
     links: list[tuple[int, int]] = []
     total: dict[Any, Any] = {}
     for q, (row, state, monomials, constant) in enumerate(products):
+        exact = Fraction(exact_number(constant))
         for factor, coordinates, coefficient in monomials:
             key = row, factor, tuple(sorted((*coordinates, state)))
-            total[key] = total.get(key, 0) + Fraction(exact_number(constant)) * Fraction(exact_number(coefficient))
+            total[key] = total.get(key, 0) + exact * Fraction(exact_number(coefficient))
             links.append((q, first.setdefault(key, q)))
     label = connected(len(products), *np.array(links, dtype=np.int64).reshape(-1, 2).T).tolist()
     remaining, sizes = {label[first[key]] for key, value in total.items() if value}, Counter(label)
@@ -106,11 +108,11 @@ def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int]) -> dict[i
     """Return the monomials of the gradient of a polynomial in coordinates of a system."""
     found: dict[int, list[GradientTerm]] = {}
     for exponents, coefficient in polynomial.monomials.items():
-        for k, power in enumerate(exponents):
-            if power:
-                lower = [*exponents[:k], power - 1, *exponents[k + 1 :]]
-                factors = tuple(coordinates[a] for a, e in enumerate(lower) for _ in range(e))
-                found.setdefault(k, []).append((None, factors, Fraction(exact_number(coefficient)) * power))
+        factors, exact = factors_of(exponents) if any(exponents) else [], Fraction(exact_number(coefficient))
+        for k in dict.fromkeys(factors):
+            rest = list(factors)
+            rest.remove(k)
+            found.setdefault(k, []).append((None, tuple(coordinates[a] for a in rest), exact * exponents[k]))
     return found
 
 

@@ -99,7 +99,10 @@ def read_monomials(monomials: Any, dim: Any) -> tuple[dict[Exponents, Coefficien
             raise ValueError(
                 f"exponents {short(key)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
             )
-        collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
+        if type(value) is float and is_finite(value):
+            collected[exponents] = value
+        else:
+            collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
     if dim is None or dim < 1:
         raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
     return collected, int(dim)

@@ -189,7 +189,7 @@ def leave_out(fewer: Sequence[tuple[Any, NDArray[Any]]], more: Sequence[tuple[An
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[tuple[Shift, Parts]]:
     """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    unshifted = split(system, "auto", terms)
+    unshifted = split(system, "auto")
     best: list[tuple[Shift, Parts]] = [((), unshifted)]
     fewest = len(unshifted)
     shifts = list(candidate_shifts(system, unshifted, casimirs)) if fewest > 1 else []

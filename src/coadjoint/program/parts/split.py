@@ -32,7 +32,7 @@ from coadjoint.systems.hamiltonians.separated_function import separated
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.vanishing_products import products_without_cancelling
+from coadjoint.systems.vanishing_products import field_products, products_without_cancelling
 
 # Number of entries above which the width of squares is checked.
 MIN_CHECKED_ENTRIES = 1 << 14
@@ -225,8 +225,9 @@ Choice = str | Sequence[Sequence[int]]
 
 def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> Parts:
     """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised)."""
-    algebra, terms = system.algebra, terms or system.hamiltonian.terms()
-    cancels = cache(lambda: products_without_cancelling(algebra, terms) is not None)
+    algebra = system.algebra
+    cancels = cache(partial(_cancels, system, terms))
+    terms = terms or system.hamiltonian.terms()
     if choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
         cached = _parts_by_pattern(terms, algebra)
         if cached is not None and not cancels():
@@ -239,6 +240,12 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
             atoms = joined_if_cancelling(algebra, atoms)
         return few_parts(atoms, algebra)
     return _join_as_chosen(system, choice, atoms)
+
+
+def _cancels(system: LiePoissonSystem, terms: Sequence[Term] | None) -> bool:
+    """Whether products of the field cancel, by H or by other terms."""
+    found = field_products(system) if terms is None else products_without_cancelling(system.algebra, terms)
+    return found is not None
 
 
 def atoms_of(system: LiePoissonSystem, terms: Sequence[Term]) -> Parts:
