@@ -202,11 +202,15 @@ class FlowMethod(Method):
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
-        found: ChosenParts | None = None
-        for system in systems:
+        extended = [with_placeholders(system, coordinates) for system in systems]
+        decided, found = set[int](), None
+        for stack in self.split_jointly(extended):
+            if np.all(stack.factors == stack.factors[:, :1]):  # the choice is that of the first one
+                decided.update(stack.numbers[1:].tolist())
+        for k, system in enumerate(extended):
             self.properties(system)
             try:
-                choice = decompose(with_placeholders(system, coordinates), self.parts).choice
+                choice = found if found and k in decided else decompose(system, self.parts).choice
             except NotSplittable:
                 return self  # the loop raises the error for a Hamiltonian that does not split
             found = found or choice

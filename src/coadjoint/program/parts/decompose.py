@@ -267,7 +267,7 @@ def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int])
 def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     if choice.linear and max(choice.linear) >= system.dim:
         raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
-    casimirs, extended, choice = quadratic_casimirs(system), system, _with_order(system, choice)
+    casimirs, extended, choice = quadratic_casimirs(system), system, with_order(system, choice)
     if choice.linear:
         extended = with_placeholders(system, choice.linear)
     parts = split(extended, "auto", shifted_terms(extended.hamiltonian.terms(), casimirs, choice.shift))
@@ -281,17 +281,21 @@ def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> De
     return _decomposition(parts, casimirs, choice)
 
 
-def _with_order(system: LiePoissonSystem, choice: ChosenParts) -> ChosenParts:
+def with_order(system: LiePoissonSystem, choice: ChosenParts) -> ChosenParts:
     """Return the choice, or that of "auto" at the values of its linear coefficients."""
     if not choice.at:
         return choice
     known = _CHOSEN_CACHE.setdefault(system, {})
     if choice not in known:
-        linear = linear_of(system.hamiltonian)
-        linear[list(choice.linear)] = choice.at
-        there = with_placeholders(with_linear(system, linear), choice.linear)
-        known[choice] = replace(decompose(there, "auto").choice, linear=choice.linear)
+        known[choice] = replace(decompose(at_linear_values(system, choice), "auto").choice, linear=choice.linear)
     return known[choice]
+
+
+def at_linear_values(system: LiePoissonSystem, choice: ChosenParts) -> LiePoissonSystem:
+    """Return the system for which "auto" chooses, where the linear coefficients have the values of a choice."""
+    linear = linear_of(system.hamiltonian)
+    linear[list(choice.linear)] = choice.at
+    return with_placeholders(with_linear(system, linear), choice.linear)
 
 
 def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choice: ChosenParts) -> Decomposition:
