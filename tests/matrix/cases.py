@@ -166,7 +166,7 @@ def excluded(options: Options, system: Any, attitude: str, without_forces: bool)
         "direction": noise and options["direction"] == "backward",
         "saved": noise and options["saved"] == "times",
         "events": noise and options["events"] != "none",
-        "members": batch and (options["inputs"] != "none" or matrices(system)),
+        "members": batch and matrices(system),
         "inputs": matrices(system) and options["inputs"] == "linear",
         "attitude": options["attitude"] != "none" and (attitude == "none" or own),
     }

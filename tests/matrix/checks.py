@@ -112,8 +112,7 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
-    shape = "x0.shape" if chosen["members"] == "many" and not matrices(value_of(case.system)) else "x0[0].shape"
-    shape = "x0.shape" if chosen["members"] == "one" else shape
+    shape = "x0[0].shape" if chosen["members"] == "many" and matrices(value_of(case.system)) else "x0.shape"
     given = f"0.1 * np.sin(1.0 + np.arange(np.prod({shape}))).reshape({shape})"
     if matrices(value_of(case.system)):
         given = f"0.1 * system.algebra.projected({given} * (0.5 + 0.5j))"
@@ -125,6 +124,7 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
         every.append(f"own = ready.run(x0, span{passed})\n")
     for each in every:
         yield same("numbers(own)", "numbers(co.integrate(own.system, x0, span, h, own.method, **options))", each)
+    yield same(f"ready.end(x0, span, {name}={given})", f"ready.run(x0, span, {name}={given}).x[-1]")
 
 
 def bits_of_archives(case: Case, space: dict[str, Any]) -> Iterator[str]:

@@ -144,12 +144,12 @@ class SampledRun(PreparedRun):
         own_run, choice = self._run_with_own_choice(x0, t_span)
         return with_choice(own_run.run(x0, t_span, save_every, **options), choice)
 
-    def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
+    def end(self, x0: Any, t_span: tuple[float, float], **inputs: Any) -> NDArray[np.float64]:
         """Return only the state at the end, as `PreparedRun.end`; times as in `run`. The check takes 5 us."""
         t0 = self._start_of(t_span)
         if self._variable_steps or self.serves(x0, t0):
-            return super().end(x0, t_span)
-        return self._run_with_own_choice(x0, t_span)[0].run(x0, t_span, ENDS_ONLY).x[-1]
+            return super().end(x0, t_span, **inputs)
+        return self._run_with_own_choice(x0, t_span)[0].run(x0, t_span, ENDS_ONLY, **inputs).x[-1]
 
     def check_differentiable(self) -> None:
         """Raise TypeError: the step may change."""

@@ -1,9 +1,9 @@
-"""Inputs of a prepared run (linear coefficients of H, torques): each call writes them into copies of the tables."""
+"""Inputs of prepared runs (linear coefficients of H, torques): each call writes them into copies of the tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.compiled import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels, labelled
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.runs.loops.loops import Loops, loops_of_system
+from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+NONE = np.zeros(0)
 # Reserved: parameters of a run.
 RESERVED_NAMES = frozenset(
     (
@@ -50,17 +51,12 @@ RESERVED_NAMES = frozenset(
 
 
 class Inputs:
-    """Inputs of a prepared run: coefficients of the linear term of H, or constant torques.
+    """Inputs of a prepared run of one system: coefficients of the linear term of H, or constant torques.
 
     `values` (m,): defaults, linear terms first; `indices`: name -> indices in them; `changing`: all these in order.
     """
 
-    def __init__(self, system: System | Batch, specification: Any) -> None:
-        if system.is_batch:
-            raise TypeError(
-                f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
-                "for each member"
-            )
+    def __init__(self, system: System, specification: Any) -> None:
         self.system = system
         self._unforced: Any = system.unforced
         if isinstance(specification, bool | np.bool_) and specification:
@@ -69,7 +65,7 @@ class Inputs:
             raise TypeError(
                 f"inputs is {short(specification)}; give each torque a name, such as {{'torque': 'Torque'}}"
             )
-        named = specification if isinstance(specification, Mapping) else {"linear": specification}
+        named = self.specification = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
         torques = self._named_torques = {name for name, target in named.items() if isinstance(target, str)}
@@ -151,14 +147,18 @@ class Inputs:
     def __repr__(self) -> str:
         return ", ".join(f"{name} {indices.shape}" for name, indices in self.indices.items())
 
-    def read(self, inputs: Mapping[str, Any]) -> Floats:
-        """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members."""
-        if self._full_input is not None and list(inputs) == [self._full_input]:
+    def read(self, inputs: Mapping[str, Any], defaults: Floats | None = None) -> Floats:
+        """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members.
+
+        With `defaults` (members, m) of a batch there are values for each.
+        """
+        if self._full_input is not None and defaults is None and list(inputs) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
             numbers = self._numbers(inputs[self._full_input], self._full_input)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
+                self.check_moved(inputs, numbers)
                 return numbers
-        arrays, members = {}, None
+        arrays, members = {}, None if defaults is None else len(defaults)
         for name, value in inputs.items():
             indices = self.indices.get(name)
             if indices is None:
@@ -172,23 +172,32 @@ class Inputs:
             if not are_finite(numbers):
                 raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
             arrays[name] = numbers
-        values = self.values.copy() if members is None else np.tile(self.values, (members, 1))
+        if defaults is not None or members is None:
+            values = (self.values if defaults is None else defaults).copy()
+        else:
+            values = np.tile(self.values, (members, 1))
         for name, numbers in arrays.items():
             indices = self.indices[name]
             values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
+        if defaults is None:
+            self.check_moved(inputs, values)
         return values
 
     def _numbers(self, value: Any, name: str) -> Floats:
-        """Return the numbers of an input, of coordinates perhaps labelled by their names; torques act on momenta."""
+        """Return the numbers of an input, of coordinates perhaps labelled by their names."""
         if labelled(value) is not None and self.indices[name].ndim == 1:
             names = coordinate_names(self.system)
             order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
             value = by_labels(value, name, STATE_DIMENSIONS[0], order)
-        numbers, momenta = read_numbers(value, name), momenta_of(self._unforced)
-        if name in self._named_torques and momenta is not None and numbers.shape[-1:] == momenta.shape:
-            moved = (numbers != 0.0).reshape(-1, len(momenta)).any(axis=0)
-            check_moved(name, self._unforced, moved & ~momenta)
-        return numbers
+        return read_numbers(value, name)
+
+    def check_moved(self, names: Iterable[str], values: Floats) -> None:
+        """Raise ValueError if values of torques with these names change other coordinates than momenta."""
+        momenta = momenta_of(self._unforced)
+        for name in () if momenta is None else self._named_torques.intersection(names):
+            if self.indices[name].shape == momenta.shape:
+                moved = (values[..., self.indices[name]] != 0.0).reshape(-1, len(momenta)).any(axis=0)
+                check_moved(name, self._unforced, moved & ~momenta)
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape
@@ -216,6 +225,10 @@ class Inputs:
         named = {name: indices for name, indices in self.indices.items() if np.all(indices < len(self._linear))}
         return Inputs(self._unforced, named) if named else None
 
+    def of(self, system: System) -> Inputs:
+        """Return the same inputs of another system."""
+        return Inputs(system, self.specification)
+
     def force_of(self, index: int) -> int | None:
         """Return the index of the force whose torque a value is; None for a coefficient of the linear term."""
         return next((k for k, indices in self._torques.items() if index in indices), None)
@@ -232,31 +245,35 @@ class Inputs:
         values[self.changing] = 1.5 + 0.5 * np.cos(1.0 + np.arange(len(self.changing)))
         return values
 
-    def writable(self, loop: CompiledTables, watch: CompiledTables) -> WritableTables:
-        """Return the tables, of `generic` values, for any others; `NotWritable` if inputs are no constants."""
+    def writable(
+        self, loop: CompiledTables, watch: CompiledTables, others: Sequence[int] = (), first: Floats = NONE
+    ) -> WritableTables:
+        """Return the tables, of `generic` values, for any others; `NotWritable` if inputs are no constants.
+
+        Before the values are those of `others`, sources that differ between systems, here with the numbers `first`.
+        """
         from coadjoint.program.sources import CoefficientNumbers
 
         values = self.generic
         energy = CoefficientNumbers.of(self.system_at(values).hamiltonian.terms())
-        indices, tangled = dict[int, int](), list[int]()
+        indices, tangled = {source: k for k, source in enumerate(others)}, list[int]()
         present = energy.present()
         for k in self.in_energy.tolist():
             own = np.flatnonzero(present.coordinate == k)
             if len(own) == 1 and present.value[own[0]] == values[k]:
-                indices[int(present.number[own[0]])] = k
+                indices[int(present.number[own[0]])] = len(others) + k
             else:
                 tangled += present.number[own].tolist()
         for k, (force, numbers) in enumerate(self._torques.items()):
             # Each torque has a number for every coordinate; those of one on bodies are some of them.
             places = numbers.ravel() - len(self._linear) - k * self.system.dim
-            first = energy.size + force * self.system.dim
-            indices.update(zip((first + places).tolist(), numbers.ravel().tolist(), strict=True))
-        return WritableTables(loop, watch, indices, values, tangled)
+            start = energy.size + force * self.system.dim
+            indices.update(zip((start + places).tolist(), (len(others) + numbers.ravel()).tolist(), strict=True))
+        return WritableTables(loop, watch, indices, np.concatenate([first, values]), tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:
         """Return the scheme with its automatic choices fixed as for the default values, for any linear term."""
-        coordinates, plain = np.sort(self.in_energy), self.system_at(self.values, system).unforced
-        return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
+        return _settled(method, [self.system_at(self.values, system)], self.in_energy)
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
         """Return the system, or one with other parameters, whose further coefficients are kept, at values (m,)."""
@@ -283,12 +300,111 @@ class Inputs:
     def loops(self, method: Method, h: float, representation: Representation) -> Loops:
         """Return loops whose tables take any values of the inputs, of a scheme with fixed parts; h may be negative."""
         loops = loops_of_system(self.system_at(self.generic), method, h, representation)
+        loops.writable = (self.written_into(loops, 0, method),)
+        return loops
+
+    def written_into(self, loops: Loops, k: int, method: Method) -> WritableTables:
+        """Return the tables of loop k for any values; ValueError, naming the scheme, if inputs are no constants."""
         try:
-            (group,), (loop,), (watch,) = loops.groups, loops.compiled, loops.watches
-            loops.writable = self.writable(replace(loop, tables=group.tables), replace(watch, tables=group.watch))
+            return self.writable(loops.compiled[k], loops.watches[k], *loops.varying(k))
         except NotWritable as reason:
             raise ValueError(f"{method} takes no inputs for {self.system.name}: {reason}") from None
+
+
+class InputsOfMembers:
+    """Inputs of a prepared run of a batch: those of its distinct systems, `each`, with default `values` (members, m).
+
+    One reading of the arguments serves all: the inputs have the same `indices` in every system.
+    """
+
+    def __init__(self, batch: Batch, specification: Any) -> None:
+        first, self.batch = Inputs(batch.first, specification), batch
+        self._first, self.specification = first, first.specification
+        self.each = [first]
+        for k, system in enumerate(batch.distinct[1:], start=1):
+            with self._naming_member(k):
+                self.each.append(first.of(system))
+                self._check_shapes(self.each[k])
+        self.indices, self.changing = first.indices, first.changing
+        self.values = np.stack([one.values for one in self.each])[batch.owners]
+        # Systems with other momenta than the first one, which torques act on.
+        self._kinds = [] if all(_same_momenta(one.system, first.system) for one in self.each) else self.each
+
+    @contextmanager
+    def _naming_member(self, k: int) -> Iterator[None]:
+        """Name the first member with system k in refusals."""
+        try:
+            yield
+        except (TypeError, ValueError) as error:
+            member = int(np.argmax(self.batch.owners == k))
+            raise type(error)(f"member {member} of the batch: {error}") from error
+
+    def _check_shapes(self, other: Inputs) -> None:
+        for name, indices in self._first.indices.items():
+            if not np.array_equal(other.indices[name], indices):
+                raise ValueError(
+                    f"{name} has the shape {other.indices[name].shape}, and {indices.shape} for member 0; give all "
+                    "members torques of one shape"
+                )
+
+    def __repr__(self) -> str:
+        return repr(self._first)
+
+    def of(self, batch: Batch) -> InputsOfMembers:
+        """Return the same inputs of other members."""
+        return InputsOfMembers(batch, self.specification)
+
+    def read(self, inputs: Mapping[str, Any]) -> Floats:
+        """Return the values (members, m) with these inputs inserted, each of one shape for all or for each member."""
+        values = self._first.read(inputs, self.values)
+        if not self._kinds:
+            self._first.check_moved(inputs, values)
+        for k, one in enumerate(self._kinds):
+            with self._naming_member(k):
+                one.check_moved(inputs, values[self.batch.owners == k])
+        return values
+
+    def settled(self, method: Method) -> Method:
+        """Return the scheme with its automatic choices fixed as for the default values, for any linear terms."""
+        return _settled(method, [one.system for one in self.each], self._first.in_energy)
+
+    def system_of(self, values: Floats) -> Batch:
+        """Return the batch of a call; members with one system and the same values have one."""
+        known = dict[tuple[int, bytes], Any]()
+        for owner, row in zip(self.batch.owners.tolist(), values, strict=True):
+            key = owner, row.tobytes()
+            if key not in known:
+                known[key] = self.each[owner].system_at(row)
+        keys = zip(self.batch.owners.tolist(), (row.tobytes() for row in values), strict=True)
+        return Batch([known[key] for key in keys], self.batch.axes, self.batch.combined)
+
+    def loops(self, method: Method, h: float, representations: Sequence[Representation]) -> Loops:
+        """Return loops whose tables take any values of the inputs, of a scheme with fixed parts; h may be negative."""
+        generic, owners = [one.system_at(one.generic) for one in self.each], self.batch.owners
+        loops = loops_of_batch(Batch([generic[owner] for owner in owners]), method, h, representations)
+        assert loops.owners is not None
+        # The tables of a loop are those of the first of its systems.
+        firsts, written = owners[np.unique(loops.owners, return_index=True)[1]].tolist(), []
+        for number, k in enumerate(firsts):
+            with self._naming_member(k):
+                written.append(self.each[k].written_into(loops, number, method))
+        loops.writable = tuple(written)
         return loops
+
+
+def inputs_of(system: System | Batch, specification: Any) -> Inputs | InputsOfMembers:
+    """Return the inputs of a run of one system or of a batch."""
+    return InputsOfMembers(system, specification) if system.is_batch else Inputs(system, specification)
+
+
+def _settled(method: Method, systems: Sequence[Any], coordinates: NDArray[np.int64]) -> Method:
+    plain = [system.unforced for system in systems]
+    return method.settled(plain, np.sort(coordinates).tolist()) if len(coordinates) else method
+
+
+def _same_momenta(one: Any, other: Any) -> bool:
+    kinds = momenta_of(one.unforced), momenta_of(other.unforced)
+    return kinds[0] is kinds[1] or np.array_equal(*kinds)
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:

@@ -231,7 +231,8 @@ def prepare(
         Quantities that may change from run to run: coefficients of the linear term of H (such as a field, the weight
         of a top, the momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True
         for all; ``run(..., linear=)`` then takes the values. Or give a mapping from a name for each input to
-        coordinates, or to the label of a `Torque` in ``system.labels``. See docs/control.md.
+        coordinates, or to the label of a `Torque` in ``system.labels``. In a batch, a value of a call is that of all
+        members, or has a leading axis of members, and defaults to that of each member's system. See docs/control.md.
 
     Returns
     -------

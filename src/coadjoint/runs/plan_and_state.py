@@ -111,7 +111,7 @@ class Plan:
         plan = self._copy()
         plan.loops, plan.rounds = loops, loops.rounds(self.groups[0], self.workers)
         plan.shared = {**self.shared, "_system_of_run": system_of_run}
-        plan.is_short = self.is_short and len(plan.rounds) == len(plan.rounds[0]) == 1
+        plan.is_short = self.is_short and loops.order is None and len(plan.rounds) == len(plan.rounds[0]) == 1
         return plan
 
     def _copy(self) -> Plan:

@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from coadjoint.runs.crossings import WatchedEvents
     from coadjoint.runs.derivatives.backward import Pullback
     from coadjoint.runs.derivatives.forward import Tangents
-    from coadjoint.runs.inputs import Inputs
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
@@ -133,13 +132,13 @@ class PreparedRun(Immutable):
         watching = read_bool(watch, "watch")
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
         self.given_method = scheme  # whose parts may depend on the system
-        if inputs is None or inputs is False:
-            self.inputs: Inputs | None = None
-        else:
-            from coadjoint.runs.inputs import Inputs
+        found: Any = None
+        if inputs is not None and inputs is not False:
+            from coadjoint.runs.inputs import inputs_of
 
-            self.inputs = Inputs(system, inputs)
-            scheme = self.inputs.settled(scheme)
+            found = inputs_of(system, inputs)
+            scheme = found.settled(scheme)
+        self.inputs = found
         self.system: Any = system
         self.method, self.step = scheme, read_step(step)
         self.scheme = effective_scheme(system, scheme)
@@ -185,6 +184,8 @@ class PreparedRun(Immutable):
             loops = {h: loop.selected(members) for h, loop in loops.items()} if unchanged else {}
         if np.ndim(self.initial_attitude) > 2:
             fields["initial_attitude"] = self.initial_attitude[members]
+        if self.inputs is not None and part is not system:
+            fields["inputs"] = self.inputs.of(part)
         return self._copy(loops if unchanged else {}, **fields)
 
     def _copy(self, loops: dict[float, Loops], **fields: Any) -> Self:
@@ -235,7 +236,7 @@ class PreparedRun(Immutable):
         """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
         if self.inputs is not None:
             values = self.inputs.read(inputs)
-            if values.ndim > 1 and np.ndim(x0) == 1:
+            if values.ndim > 1 and np.ndim(x0) == 1 and not self.system.is_batch:
                 self.inputs.check_not_square(inputs)
             return values
         if inputs:
@@ -246,7 +247,7 @@ class PreparedRun(Immutable):
         return None
 
     def system_at(self, values: NDArray[np.float64] | None) -> Any:
-        return self.system if values is None or self.inputs is None else self.inputs.system_of(values)
+        return self.system if values is None else self.inputs.system_of(values)
 
     def start(
         self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None, *, begins: bool = True
@@ -323,14 +324,15 @@ class PreparedRun(Immutable):
         return loops
 
     def _loops(self, h: float) -> Loops:
+        representations: Any = self._representations if self.system.is_batch else self._representations[0]
         if self.inputs is not None:
-            return self.inputs.loops(self.scheme, h, self._representations[0])
+            return self.inputs.loops(self.scheme, h, representations)
         for known in self.cache.loops.values():
             if (loops := known.at_step(h)) is not None:
                 return loops
         if self.system.is_batch:
-            return loops_of_batch(self.system, self.scheme, h, self._representations)
-        return loops_of_system(self.system, self.scheme, h, self._representations[0], compact=True)
+            return loops_of_batch(self.system, self.scheme, h, representations)
+        return loops_of_system(self.system, self.scheme, h, representations, compact=True)
 
     def observed(self, start: Start) -> Observed | None:
         """Return the quantities to observe during a run, or None."""
@@ -375,7 +377,7 @@ class PreparedRun(Immutable):
         **inputs : array_like
             Inputs of this run, by their prepared names: coefficients of the linear term of H, in the shape of their
             coordinates, or torques, (n,); optionally with a leading axis of members. Inputs that are not given default
-            to the values of the system.
+            to the values of the system, in a batch of each member.
 
         Returns
         -------
@@ -598,12 +600,12 @@ class PreparedRun(Immutable):
         return vjp(self, reverse, **given)
 
     @suggest_keywords
-    def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
+    def end(self, x0: Any, t_span: tuple[float, float], **inputs: Any) -> NDArray[np.float64]:
         """Return only the final state of a run, with less than half of the overhead of `run`.
 
         For shooting methods, maps and control loops of few steps: no solution object is created. The result is bitwise
-        equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs prepared with
-        an attitude or with inputs fall back to `run`.
+        equal to ``run(x0, t_span, **inputs).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs
+        prepared with an attitude fall back to `run`.
 
         Parameters
         ----------
@@ -612,11 +614,13 @@ class PreparedRun(Immutable):
         t_span : (float, float)
             Start and end, a whole number of steps apart; the run goes backward if the end is the smaller one. An
             unchanged tuple is not validated again.
+        **inputs : array_like
+            Inputs of this run, as in `run`.
 
         Returns
         -------
         ndarray
-            Final state, in the shape of x0.
+            Final state, in the shape of x0; (members, n) if inputs have values for members.
 
         Raises
         ------
@@ -634,23 +638,34 @@ class PreparedRun(Immutable):
         True
         >>> for _ in range(1000):
         ...     x = prepared.end(x, span)
+
+        A control loop:
+
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
+        >>> pushed = co.prepare(body, None, step=0.05, inputs={"thrusters": "Torque"})
+        >>> for _ in range(200):
+        ...     x = pushed.end(x, span, thrusters=-0.5 * x)
+        >>> bool(abs(x).max() < 1e-3)
+        True
         """
         ends = self.cache.ends
         try:
             final_run = ends.pop()
         except IndexError:
             final_run = FinalStateRun(self)
-        state = final_run.end(x0, t_span)
+        state = final_run.end(x0, t_span, inputs)
         ends.append(final_run)
-        return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
+        return self.run(x0, t_span, ENDS_ONLY, **inputs).x[-1] if state is None else state
 
     def of_system(self, system: System, member: int | None = None, threads: int | None = None) -> PreparedRun:
-        """Return the run of another system, or of the system of a member, prepared in the same way without inputs."""
+        """Return the run of another system, prepared in the same way without inputs, or of that of a member."""
         attitude = self.initial_attitude
-        if member is not None and np.ndim(attitude) > 2:
-            attitude = attitude[member]
         options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
-        return PreparedRun(system, self.method, self.step, threads=threads or self._threads, **options)
+        if member is not None:
+            options["attitude"] = attitude[member] if np.ndim(attitude) > 2 else attitude
+            options["inputs"] = None if self.inputs is None else self.inputs.specification
+        prepared = PreparedRun(system, self.method, self.step, threads=threads or self._threads, **options)
+        return prepared if prepared.inputs is None else prepared._copy({}, given_method=self.given_method)
 
     def of_member(self, member: int) -> PreparedRun:
         """Return the run of one member alone; of a system that members share this run itself."""

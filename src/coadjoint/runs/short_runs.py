@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import as_c_double, raise_outcome
+from coadjoint.kernels.loop import Layout, as_c_double, raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.methods.forced import check_steps
 from coadjoint.runs.loops.loops import Loops
@@ -46,6 +46,7 @@ class FinalStateRun:
     _momentum: NDArray[np.float64]
     _end: NDArray[np.float64]
     _evaluations: NDArray[Any]
+    _layout: Layout
 
     def __init__(self, prepared: PreparedRun) -> None:
         self._prepared, self._max_evaluations = prepared, prepared.most_evaluations
@@ -56,13 +57,18 @@ class FinalStateRun:
         self._whole_run: Callable[[], int] | None = None
         self._advance: Callable[[], int] | None = None
 
-    def end(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
+    def end(self, x0: Any, t_span: Any, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
         """Return the final state; None if a full run is needed, for instance to raise the error."""
         if t_span is not self._span and not is_same_span(t_span, self._span):
             self._prepare_span(t_span)
         advance = self._advance
         if advance is None:
             return None
+        if inputs or self._loops.writable:
+            values = self._prepared.values_of(inputs, x0)
+            if values is None or values.ndim > 1:
+                return None
+            advance = self._call_of(self._loops.with_values(values))
         x: NDArray[np.float64] = x0
         if type(x) is not ndarray or x.dtype is not FLOAT64 or x.shape != self._shape:
             momenta, single = momenta_of(self._prepared.system, x0)
@@ -103,7 +109,7 @@ class FinalStateRun:
         prepared = self._prepared
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
-        if loops.writable is not None or loops.owners is not None or loops.rows:
+        if loops.owners is not None or loops.rows:
             return None
         if prepared.system.has_matrices or prepared.representation is not None:
             return None
@@ -117,9 +123,12 @@ class FinalStateRun:
         self._clear = state["momenta"].fill if loops.accounts else None
         self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
         self._evaluations = state["evaluations"]
-        self._schedule = ctypes.create_string_buffer(SCHEDULE_BYTES)
+        self._layout, self._schedule = layout, ctypes.create_string_buffer(SCHEDULE_BYTES)
+        return self._call_of(loops)
+
+    def _call_of(self, loops: Loops) -> Callable[[], int]:
         ((batch,),) = loops.rounds(1, 1)
-        return partial(batch.whole_run(layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))
+        return partial(batch.whole_run(self._layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))
 
 
 def solution_of_short_run(

@@ -231,8 +231,7 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, TableNumbers]:
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], TableNumbers({})
     loops = prepared.inputs.loops(scheme, 1.0, prepared.representation)
-    assert loops.writable is not None
-    return loops.compiled[0], TableNumbers(_entries(prepared, loops.writable))
+    return loops.compiled[0], TableNumbers(_entries(prepared, loops.writable[0]))
 
 
 def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, str, int], int]:

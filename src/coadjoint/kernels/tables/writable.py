@@ -208,17 +208,36 @@ class WritableTables:
 
     def each(self, numbers: Floats) -> tuple[Any, Any, int]:
         """Return the structures for (members, m), and the number of columns; not valid if `separate_tables`."""
-        members, lanes = len(numbers), limit("MOST_LANES")
-        columns = -(-members // lanes) * lanes
+        return side_by_side(len(numbers), [(self, slice(0, len(numbers)), numbers)])
+
+    def _write_columns(self, block: Floats, own: slice | Integers, numbers: Floats) -> None:
+        """Write the columns of members with these numbers into a block of all."""
         arrays, (multiples, sums_of_rules) = self._each
-        size = len(arrays.template)
-        check_available_memory(8 * columns * size, f"the tables of {members} members with individual numbers")
-        block = np.repeat(arrays.template, columns).reshape(-1, columns)
-        # Lanes may read beyond the last member: it is repeated.
-        padded = numbers.take(np.minimum(np.arange(columns), members - 1), axis=0)
-        block[multiples.position] = multiples.of(padded).T
+        columns = block[:, own]  # of a slice, a view
+        columns[...] = arrays.template[:, None]
+        columns[multiples.position] = multiples.of(numbers).T
         for sums, rows in sums_of_rules:
-            for own, entries in zip(rows, zip(*map(sums.of, numbers), strict=True), strict=True):
-                block[own, :members] = np.transpose(entries)
-                block[own, members:] = block[own, members - 1 : members]
-        return *arrays.structures(block.reshape(-1), columns), columns
+            for entries, of_members in zip(rows, zip(*map(sums.of, numbers), strict=True), strict=True):
+                columns[entries] = np.transpose(of_members)
+        if columns.base is not block:
+            block[:, own] = columns
+
+
+def side_by_side(
+    members: int, parts: Sequence[tuple[WritableTables, slice | Integers, Floats]]
+) -> tuple[Any, Any, int]:
+    """Return the structures for members whose tables differ in constants, and the number of columns.
+
+    Each part has the tables of some members, their columns and their numbers (count, m).
+    """
+    lanes = limit("MOST_LANES")
+    columns = -(-members // lanes) * lanes
+    arrays, _ = parts[0][0]._each
+    size = len(arrays.template)
+    check_available_memory(8 * columns * size, f"the tables of {members} members with individual numbers")
+    block = np.empty((size, columns))
+    for tables, own, numbers in parts:
+        tables._write_columns(block, own, numbers)
+    # Lanes may read beyond the last member: it is repeated.
+    block[:, members:] = block[:, members - 1 : members]
+    return *arrays.structures(block.reshape(-1), columns), columns

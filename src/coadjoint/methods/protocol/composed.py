@@ -47,8 +47,8 @@ class Wrapper(Method):
         own = type(self).tangent is not Method.tangent
         return self.base.tangent_by(system, x, t, h) if own else super().tangent_by(system, x, t, h)
 
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        base = self.base.settled(system, coordinates)
+    def settled(self, systems: Sequence[Any], coordinates: Sequence[int]) -> Method:
+        base = self.base.settled(systems, coordinates)
         return self if base is self.base else self._around(base)
 
     def _around(self, base: Method) -> Method:

@@ -28,7 +28,7 @@ from coadjoint.program.parts.decompose import (
 )
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.shortcuts import of
-from coadjoint.systems.coefficients import with_placeholders
+from coadjoint.systems.coefficients import linear_of, with_placeholders
 from coadjoint.systems.hamiltonians.terms import MAX_COORDINATES
 from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_choice, read_integer, read_list
@@ -189,21 +189,38 @@ class FlowMethod(Method):
 
         return work_of_flows(self.program(system, group=group), bool(self.compensated))
 
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the scheme with the automatic parts of a system fixed; it needs a field `parts`."""
+    def settled(self, systems: Sequence[Any], coordinates: Sequence[int]) -> Method:
+        """Return the scheme with the automatic parts of systems fixed; it needs a field `parts`.
+
+        Where they differ between systems, each has those for the linear coefficients of the first one.
+        """
         if self.parts in BODY_FLOW_CHOICES:
-            check_body_flow_inputs(system, self.parts, coordinates)
+            for system in systems:
+                check_body_flow_inputs(system, self.parts, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or self.parts == "auto"
-        if not automatic or not system.has_structure_constants:
+        if not automatic or not systems[0].has_structure_constants:
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
-        self.properties(system)
-        try:
-            choice = decompose(with_placeholders(system, coordinates), self.parts).choice
-        except NotSplittable:
-            return self  # the loop raises the error for a Hamiltonian that does not split
-        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
+        extended = [with_placeholders(system, coordinates) for system in systems]
+        decided, found = set[int](), None
+        for stack in self.split_jointly(extended):
+            if np.all(stack.factors == stack.factors[:, :1]):  # the choice is that of the first one
+                decided.update(stack.numbers[1:].tolist())
+        for k, system in enumerate(extended):
+            self.properties(system)
+            try:
+                choice = found if found and k in decided else decompose(system, self.parts).choice
+            except NotSplittable:
+                return self  # the loop raises the error for a Hamiltonian that does not split
+            found = found or choice
+            if choice != found and getattr(self.parts, "linear", ()) == tuple(coordinates):
+                return self  # with the coefficients for which they were chosen before
+            if choice != found:
+                at = linear_of(systems[0].hamiltonian)[list(coordinates)]
+                return replace(self, parts=ChosenParts(linear=tuple(coordinates), at=tuple(at.tolist())))
+        assert found is not None
+        return replace(self, parts=replace(found, linear=tuple(coordinates)))
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
         from coadjoint.program.parts.joint_choice import joint_choices

@@ -322,8 +322,8 @@ class Method(Abstract):
         """Return half a step of this scheme followed by half a step of its adjoint: symmetric, of even order."""
         raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
 
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the scheme with automatic choices fixed, for any linear terms at these coordinates."""
+    def settled(self, systems: Sequence[Any], coordinates: Sequence[int]) -> Method:
+        """Return the scheme with automatic choices for systems fixed, for any linear terms at these coordinates."""
         return self
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:

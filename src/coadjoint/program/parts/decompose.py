@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -28,7 +28,7 @@ from coadjoint.program.parts.split import check_splits, split
 from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.short_repr import plain, short
-from coadjoint.systems.coefficients import linear_of, with_placeholders
+from coadjoint.systems.coefficients import linear_of, with_linear, with_placeholders
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_integer, read_list, read_number
@@ -47,13 +47,19 @@ BODY_FLOW_CHOICES = ("free_body", "bonds")
 
 @dataclass(frozen=True)
 class ChosenParts:
-    """Explicit parts: those of "auto" after a `shift`, in an `order`; `linear` coefficients count even if zero."""
+    """Explicit parts: those of "auto" after a `shift`, in an `order`; `linear` coefficients count even if zero.
 
-    order: tuple[int, ...]
+    With values `at` of these coefficients, each system has the shift and the order that "auto" chooses for them.
+    """
+
+    order: tuple[int, ...] = ()
     shift: tuple[tuple[str, float], ...] = ()
     linear: tuple[int, ...] = ()
+    at: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
+        if self.at:
+            return f"ChosenParts(linear={self.linear}, at={self.at})"
         more = f", linear={self.linear}" if self.linear else ""
         return f"ChosenParts(order={self.order}, shift={self.shift}{more})"
 
@@ -72,21 +78,31 @@ class ChosenParts:
         object.__setattr__(self, "shift", shift)
         linear = read_list(self.linear, "the linear coefficients that are present", "give coordinates")
         object.__setattr__(self, "linear", tuple(read_integer(k, "a coordinate", 0) for k in linear))
+        at = read_list(self.at, "the values of linear coefficients", "give numbers")
+        object.__setattr__(self, "at", tuple(read_number(one, "a linear coefficient") for one in at))
+        if at and (order or shift or len(at) != len(linear)):
+            raise ValueError(
+                f"parts has {len(at)} values `at` for {len(linear)} coordinates `linear`; give as many values and no "
+                "order or shift, which they choose, or no values"
+            )
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ChosenParts:
-        """Construct a choice from ``{"order": [...], "shift": {...}, "linear": [...]}``."""
-        unknown = set(mapping) - {"order", "shift", "linear"}
-        if unknown or "order" not in mapping:
+        """Construct a choice from ``{"order": [...], "shift": {...}, "linear": [...]}``, or "linear" and "at"."""
+        unknown = set(mapping) - {"order", "shift", "linear", "at"}
+        if unknown or not mapping.keys() & {"order", "at"}:
             raise ValueError(
-                f"parts has the keys {short(list(mapping))}; it must have 'order' and may have 'shift' and 'linear'"
+                f"parts has the keys {short(list(mapping))}; it must have 'order' and may have 'shift' and 'linear', "
+                "or have 'linear' and 'at'"
             )
         shift = mapping.get("shift", {})
         if not isinstance(shift, Mapping):
             raise TypeError(f"the shift is {short(shift)}; give a mapping from the name of a Casimir to a factor")
-        return cls(mapping["order"], tuple(shift.items()), mapping.get("linear", ()))
+        return cls(mapping.get("order", ()), tuple(shift.items()), mapping.get("linear", ()), mapping.get("at", ()))
 
     def to_mapping(self) -> dict[str, Any]:
+        if self.at:
+            return {"linear": list(self.linear), "at": list(self.at)}
         present = {"linear": list(self.linear)} if self.linear else {}
         return {"order": list(self.order), "shift": dict(self.shift), **present}
 
@@ -136,6 +152,7 @@ _BODY_FLOW_CACHE: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition
     choice: WeakKeyDictionary() for choice in BODY_FLOW_CHOICES
 }
 _CHECKED_CACHE: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
+_CHOSEN_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[ChosenParts, ChosenParts]] = WeakKeyDictionary()
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) -> Decomposition:
@@ -248,10 +265,10 @@ def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int])
 
 
 def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
-    casimirs, extended = quadratic_casimirs(system), system
+    if choice.linear and max(choice.linear) >= system.dim:
+        raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
+    casimirs, extended, choice = quadratic_casimirs(system), system, with_order(system, choice)
     if choice.linear:
-        if max(choice.linear) >= system.dim:
-            raise ValueError(f"parts names coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
         extended = with_placeholders(system, choice.linear)
     parts = split(extended, "auto", shifted_terms(extended.hamiltonian.terms(), casimirs, choice.shift))
     if extended is not system:
@@ -262,6 +279,23 @@ def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> De
             "choose again with Splitting.tuned"
         )
     return _decomposition(parts, casimirs, choice)
+
+
+def with_order(system: LiePoissonSystem, choice: ChosenParts) -> ChosenParts:
+    """Return the choice, or that of "auto" at the values of its linear coefficients."""
+    if not choice.at:
+        return choice
+    known = _CHOSEN_CACHE.setdefault(system, {})
+    if choice not in known:
+        known[choice] = replace(decompose(at_linear_values(system, choice), "auto").choice, linear=choice.linear)
+    return known[choice]
+
+
+def at_linear_values(system: LiePoissonSystem, choice: ChosenParts) -> LiePoissonSystem:
+    """Return the system for which "auto" chooses, where the linear coefficients have the values of a choice."""
+    linear = linear_of(system.hamiltonian)
+    linear[list(choice.linear)] = choice.at
+    return with_placeholders(with_linear(system, linear), choice.linear)
 
 
 def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choice: ChosenParts) -> Decomposition:

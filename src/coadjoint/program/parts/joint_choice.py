@@ -28,10 +28,12 @@ from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
     ChosenParts,
     angles_of,
+    at_linear_values,
     candidates,
     leave_out,
     remember,
     sample_points,
+    with_order,
 )
 from coadjoint.program.parts.part import COMPUTED, GradientShare, Parts
 from coadjoint.program.parts.second_order import (
@@ -42,11 +44,11 @@ from coadjoint.program.parts.second_order import (
     part_derivatives,
 )
 from coadjoint.program.parts.split import split
-from coadjoint.program.sources import Sources, sources_of_parts
+from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, SparseRows
 from coadjoint.program.table import term_table
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped
+from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped, stacks_of
 from coadjoint.systems.vanishing_products import without_cancelling
 
 Floats = NDArray[np.float64]
@@ -180,14 +182,54 @@ MAX_STACKED = 4096  # systems compared at once
 def joint_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
     """Return systems by their decompositions, with the coefficients that are split; others are decomposed alone."""
     system = stack.first
-    if system.dim > MAX_PATTERN_SIZE or getattr(choice, "linear", ()) or choice in BODY_FLOW_CHOICES:
+    if system.dim > MAX_PATTERN_SIZE or choice in BODY_FLOW_CHOICES:
         return []
+    inputs, linear = None, getattr(choice, "linear", ())
+    if linear:
+        inputs = _present_everywhere(stack, linear)
+        if inputs is None:
+            return []
     found: dict[tuple[Any, ...], list[SystemStack]] = {}
     for first in range(0, stack.size, MAX_STACKED):
         chunk = stack.take(np.arange(first, min(first + MAX_STACKED, stack.size)))
-        for decision, chosen in _decisions(chunk, choice):
+        of_chunk = _decisions(chunk, choice) if inputs is None else _decisions_with_inputs(chunk, choice, inputs)
+        for decision, chosen in of_chunk:
             found.setdefault(decision, []).append(chosen)
     return [SystemStack.joined(pieces) for pieces in found.values()]
+
+
+def _present_everywhere(stack: SystemStack, linear: Sequence[int]) -> Integers | None:
+    """Return the numbers of these linear coefficients, each of one term and zero in no system; None for others."""
+    energy, present = CoefficientNumbers.of(stack.terms), np.any(stack.coefficients, axis=1)
+    numbers = [energy.number[(energy.coordinate == k) & present[energy.number]] for k in linear]
+    if any(len(own) != 1 for own in numbers) or not stack.coefficients[found := np.concatenate(numbers)].all():
+        return None
+    return found
+
+
+def _decisions_with_inputs(
+    stack: SystemStack, choice: ChosenParts, inputs: Integers
+) -> list[tuple[tuple[Any, ...], SystemStack]]:
+    """Return `_decisions` where linear coefficients, of these numbers, are inputs: those of "auto" at their values."""
+    if not choice.at:
+        return _decisions(stack, replace(choice, linear=()))
+    there = stacks_of([at_linear_values(stack.systems[m], choice) for m in stack.numbers.tolist()])
+    if len(there) != 1 or len(there[0].coefficients) != len(stack.coefficients):
+        return []
+    (at,), casimirs, result = there, quadratic_casimirs(stack.first), []
+    expected = stack.coefficients[:, at.numbers]
+    expected[inputs] = at.coefficients[inputs]
+    if not np.array_equal(expected, at.coefficients):
+        return []
+    number = quadratic_position(stack.terms)
+    end = 0 if number is None else sum(counts_of(stack.terms)[: number + 1])
+    for key, found in _automatic(at):
+        chosen, split = stack.take(found.numbers), found.split.copy()
+        # The shift may change the number of entries of M, behind which others follow.
+        split[inputs + np.where(inputs < end, 0, len(split) - len(expected))] = chosen.coefficients[inputs]
+        chosen = chosen._replace(split=split, factors=found.factors)
+        result += [(key, one) for one in _plain(chosen, casimirs, with_order(chosen.first, choice).shift)]
+    return result
 
 
 def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], SystemStack]]:

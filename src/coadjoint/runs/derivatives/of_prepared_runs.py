@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
 from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback, pullback_of_run
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import Tangents, check_shape, read_mapping, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
-from coadjoint.runs.derivatives.run_tables import differ_in_columns
+from coadjoint.runs.derivatives.run_tables import INPUTS, differ_in_columns
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.validation import read_choice, to_array
+from coadjoint.validation import read_choice, read_numbers, to_array
 
 REVERSES = ("exact", "reversible")
 
@@ -63,26 +63,21 @@ def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
 def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -> Trajectory:
     if not given.events and not run.prepared.method.own_steps:
         return Trajectory(run, given, reverse)
-    if run.inputs is not None:
-        raise TypeError(
-            "runs with events or steps of their own have no derivatives with inputs; prepare without inputs="
-        )
     return LocatedTrajectory(run, given, reverse)
 
 
 def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     """Return whether members are differentiated in several runs: their structure, steps or times differ."""
     several = prepared.system.is_batch
-    if several and not (given.events or prepared.method.own_steps):
+    if given.events or prepared.method.own_steps:
+        if prepared.takes_inputs:
+            raise TypeError(
+                "runs with events or steps of their own have no derivatives with inputs; prepare without inputs="
+            )
+        return several or np.ndim(given.x0) > len(prepared.system.shape)
+    if several:
         pieces = [len(members) for members, _ in _in_columns(prepared)]
         several = pieces != [len(prepared.system)] or prepared.loops(prepared.step).order is not None
-    if given.events or prepared.method.own_steps:
-        several = several or np.ndim(given.x0) > len(prepared.system.shape)
-    if several and prepared.takes_inputs:
-        raise TypeError(
-            "members are differentiated one by one if they have systems, steps or events of their own, and then "
-            "without inputs; prepare a run of each member"
-        )
     return several
 
 
@@ -92,11 +87,13 @@ _Piece = tuple[Any, PreparedRun, Arguments]
 
 def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Piece]]:
     solution, start = prepared.run(**given.keywords), prepared.start(given.x0, given.attitude)
+    values = prepared.values_of(given.inputs)
     attitudes: Any = None if prepared.representation is None else start.groups
 
     def piece(members: Any, run: PreparedRun) -> _Piece:
         attitude = None if attitudes is None else attitudes[members]
-        return members, run, given._replace(x0=solution.x0[members], attitude=attitude)
+        own = {} if values is None else {name: values[members][at] for name, at in prepared.inputs.indices.items()}
+        return members, run, given._replace(x0=solution.x0[members], attitude=attitude, inputs=own)
 
     together = [] if given.events or prepared.method.own_steps else _in_columns(prepared)
     alone = np.setdiff1d(np.arange(len(solution.x0)), np.concatenate([np.zeros(0, int), *(one for one, _ in together)]))
@@ -106,7 +103,8 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
 
 def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
     """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
-    if not prepared.system.is_batch or prepared.system.forces or not prepared.scheme.differentiable:
+    alone = not prepared.system.is_batch or prepared.system.forces or prepared.takes_inputs
+    if alone or not prepared.scheme.differentiable:
         return []
     cache = prepared.cache
     if cache.in_columns is None:
@@ -136,10 +134,22 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
                 f"the direction {name} has the shape {array.shape}; its first axis must be that of the {count} members"
             )
         leading[name] = array
+    of_inputs: dict[str, Any] = {}
+    if prepared.takes_inputs:
+        of_inputs = read_mapping(directions.pop(INPUTS, {}), "the direction inputs", "names of inputs")
+    for name, value in of_inputs.items():
+        if name not in prepared.inputs.indices:
+            raise unknown_name("input of this run", name, prepared.inputs.indices)
+        array, shape = read_numbers(value, f"the direction {INPUTS}.{name}"), prepared.inputs.indices[name].shape
+        check_shape(f"{INPUTS}.{name}", array, (count, *shape) if name in _by_each(prepared, given) else shape)
+        of_inputs[name] = array
 
     def of_piece(piece: _Piece) -> Tangents:
         members, run, own = piece
         of_each = {name: leading[name][members] if name in leading else value for name, value in directions.items()}
+        if of_inputs:
+            own_inputs = {name: one[members] for name, one in of_inputs.items() if name in _by_each(prepared, given)}
+            of_each[INPUTS] = of_inputs | own_inputs
         return _tangents(run, own, of_each)[1]
 
     found, error = _of_each(of_piece, pieces)
@@ -170,7 +180,13 @@ def _pullback_of_members(prepared: PreparedRun, given: Arguments, reverse: str) 
     """Return the function from cotangents of the outputs of a run of several members to a gradient."""
     solution, pieces = _pieces(prepared, given)
     pullbacks = [_pullback(run, own, reverse) for _, run, own in pieces]
-    return Pullback(solution, partial(_gradient_of_members, prepared, solution, pieces, pullbacks))
+    by_each = _by_each(prepared, given)
+    return Pullback(solution, partial(_gradient_of_members, prepared, solution, pieces, pullbacks, by_each))
+
+
+def _by_each(prepared: PreparedRun, given: Arguments) -> set[str]:
+    """Return the names of the inputs that were given for each member, as those of their derivatives are."""
+    return {name for name, value in given.inputs.items() if np.ndim(value) > prepared.inputs.indices[name].ndim}
 
 
 def _gradient_of_members(
@@ -178,6 +194,7 @@ def _gradient_of_members(
     solution: Solution,
     pieces: Sequence[_Piece],
     pullbacks: Sequence[Pullback],
+    by_each: set[str],
     given: Cotangents,
 ) -> Gradient:
     events = solution.events
@@ -215,6 +232,11 @@ def _gradient_of_members(
         stacked = _beside(pieces, [one[name] for one in found], len(solution.x0), axis=0)
         summed = name in parameters and not prepared.system.is_batch
         values[name] = stacked.sum(axis=0) if summed else stacked
+    if prepared.takes_inputs:
+        values[INPUTS] = {}
+        for name in prepared.inputs.indices:
+            stacked = _beside(pieces, [one[INPUTS][name] for one in found], len(solution.x0), axis=0)
+            values[INPUTS][name] = stacked if name in by_each else stacked.sum(axis=0)
     gradient = Gradient(values, _rules(found, parameters))
     _raise(error, solution, gradient)
     return gradient

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, layout_of, matrix_rows
-from coadjoint.kernels.tables.compiled import NotWritable, as_structure
+from coadjoint.kernels.tables.compiled import NotWritable, as_structure, structure_of
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method, Representation
@@ -95,13 +95,41 @@ class Loops:
             tables = as_structure(compiled[0].tables), as_structure(watches[0].tables)
             self.groups = [Group(None, compiled[0].name, *tables)]
         else:
-            among = self.owners, self.in_order, self._columns, self._numbers
-            self.groups = groups_of(compiled, watches, *among)
-            members = np.concatenate([group.members for group in self.groups if group.members is not None])
-            self.order = None if np.array_equal(members, np.arange(len(members))) else members
+            self._structures: dict[int, Hashable] = {}
+            columns = [*self._columns] or [None] * len(self.compiled)
+            tables = [
+                None if one is None else one.tables(loop, watch)
+                for one, loop, watch in zip(columns, compiled, watches, strict=True)
+            ]
+            rows = {k: one.values for k, one in enumerate(columns) if one is not None}
+            self._set_groups(self._grouped(tables, rows, self._numbers))
         self._rounds: tuple[tuple[int, int], list[list[MemberBatch]]] | None = None
         self._base: Loops | None = None
-        self.writable: WritableTables | None = None  # of a run with inputs
+        self.writable: tuple[WritableTables, ...] = ()  # of each loop of a run with inputs
+
+    def _set_groups(self, groups: Sequence[Group]) -> None:
+        self.groups = list(groups)
+        members = np.concatenate([group.members for group in self.groups if group.members is not None])
+        self.order = None if np.array_equal(members, np.arange(len(members))) else members
+
+    def _grouped(
+        self,
+        tables: Sequence[WritableTables | None],
+        rows: Mapping[int, Floats],
+        numbers: NDArray[np.int64] | None,
+    ) -> list[Group]:
+        """Return the groups of members that have the row of this number of their loop; see `groups_of`."""
+        owners: Any = self.owners
+        numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers
+        among = owners, self.in_order, tables, rows, numbers
+        return groups_of(self.compiled, self.watches, *among, self._structure)
+
+    def _structure(self, k: int) -> Hashable:
+        """Return everything in the tables of a loop except their constants, cached."""
+        if k not in self._structures:
+            loop, watch = self.compiled[k], self.watches[k]
+            self._structures[k] = loop.name, structure_of(loop.tables), structure_of(watch.tables)
+        return self._structures[k]
 
     @property
     def in_columns(self) -> list[NDArray[np.int64]]:
@@ -110,6 +138,11 @@ class Loops:
             return []
         found = [np.flatnonzero(self.owners == k) for k, one in enumerate(self._columns) if one is not None]
         return [members for members in found if len(members) > 1]
+
+    def varying(self, k: int) -> tuple[Sequence[int], Floats]:
+        """Return the sources in which the systems of a loop differ, and their numbers in the first one."""
+        columns = self._columns[k] if self._columns else None
+        return ([], np.zeros(0)) if columns is None else (columns.numbers.tolist(), columns.values[0])
 
     @property
     def columns_of_members(self) -> Columns | None:
@@ -172,9 +205,10 @@ class Loops:
 
     def with_values(self, values: Floats) -> Loops:
         """Return the loops of a call with these values of the inputs, (m,) or (members, m)."""
-        tables, (group,) = self.writable, self.groups
-        assert tables is not None
         try:
+            if self.owners is not None:
+                return self._with_values_of_members(values)
+            (tables,), (group,) = self.writable, self.groups
             if values.ndim == 1:
                 return self.with_groups([Group(None, group.loop, *tables.shared(values))])
             if not tables.separate_tables:
@@ -185,6 +219,20 @@ class Loops:
                 "the linear term is too large: a completed square overflows; give smaller inputs"
             ) from None
         return self.with_groups(individual_groups((group.loop, *pair) for pair in each))
+
+    def _with_values_of_members(self, values: Floats) -> Loops:
+        """Return the loops of a batch with values (members, m), which follow the coefficients of each member."""
+        owners: Any = self.owners
+        by_loop = np.argsort(owners, kind="stable")
+        rows, numbers = {}, np.empty(len(owners), dtype=np.int64)
+        for members in np.split(by_loop, np.flatnonzero(np.diff(owners[by_loop])) + 1):
+            k, rest = int(owners[members[0]]), values[members]
+            if self._numbers is not None and (own := self._columns[k]) is not None:
+                rest = np.concatenate([own.values[self._numbers[members]], rest], axis=1)
+            rows[k], numbers[members] = rest, np.arange(len(members))
+        changed = self.with_groups([])
+        changed._set_groups(self._grouped(self.writable, rows, numbers))
+        return changed
 
     def at_step(self, h: float) -> Loops | None:
         """Return the loops of another step, by the same tables; None if they must be built again."""
@@ -213,7 +261,9 @@ class Loops:
                     used, numbers[owners == k] = np.unique(numbers[owners == k], return_inverse=True)
                     columns[k] = one.take(used)
         fields = self.dim, self.names, compiled, watches, corrections, owners, self.in_order
-        return Loops(*fields, columns=columns, numbers=numbers, corrected=corrected)
+        part = Loops(*fields, columns=columns, numbers=numbers, corrected=corrected)
+        part.writable = tuple(self.writable[k] for k in chosen.tolist() if self.writable)
+        return part
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
@@ -270,11 +320,11 @@ class Loops:
     @property
     def is_picklable(self) -> bool:
         """Whether the loops can be pickled: without inputs, if all addresses in their tables are those of functions."""
-        return self.writable is None and all(tables.is_picklable for tables in (*self.compiled, *self.watches))
+        return not self.writable and all(tables.is_picklable for tables in (*self.compiled, *self.watches))
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are not derived from the tables."""
-        derived = ("groups", "order", "writable", "_rounds", "_base")
+        derived = ("groups", "order", "writable", "_rounds", "_base", "_structures")
         return {name: value for name, value in vars(self).items() if name not in derived}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

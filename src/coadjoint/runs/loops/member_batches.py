@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from ctypes import c_int64
 from dataclasses import replace
 from itertools import pairwise
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import NEVER_STOPPED, CompiledLoop, Layout, MemberBatch, NamedArrays
-from coadjoint.kernels.tables.compiled import as_structure, stacked, structure_of
-from coadjoint.kernels.tables.writable import WritableTables
+from coadjoint.kernels.tables.compiled import as_structure, stacked
+from coadjoint.kernels.tables.writable import WritableTables, side_by_side
 from coadjoint.methods.protocol.method import Method
 
 if TYPE_CHECKING:
@@ -164,30 +164,23 @@ def groups_of(
     watches: Sequence[CompiledTables],
     owners: Integers,
     in_order: bool,
-    columns: Sequence[Columns | None] = (),
-    numbers: Integers | None = None,
+    tables: Sequence[WritableTables | None],
+    rows: Mapping[int, Floats],
+    numbers: Integers,
+    structure: Callable[[int], Hashable],
 ) -> list[Group]:
-    """Group members with tables that differ only in constants, in the order of their first members."""
-    # Members that fill the lanes, or whose tables cannot be shared, are a group of their own.
+    """Group members with tables that differ only in constants, in the order of their first members.
 
+    Member m has the loop k = `owners[m]`, of a `structure`, and if that has `tables` the numbers `rows[k][numbers[m]]`.
+    """
+    # Members that fill the lanes, or whose tables cannot be shared, are a group of their own.
     block = limit("MOST_LANES")
-    numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers
-    columns = columns or [None] * len(prepared)
     _, system, counts = np.unique(owners * (numbers.max() + 1) + numbers, return_inverse=True, return_counts=True)
-    tables = [
-        None if one is None else one.tables(loop, watch)
-        for one, loop, watch in zip(columns, prepared, watches, strict=True)
-    ]
     alone = (counts[system] >= block) | np.array([one is not None and one.separate_tables for one in tables])[owners]
     keys: dict[Hashable, int] = {}
     key = np.zeros(len(prepared), dtype=np.int64)
     for k in np.unique(owners[~alone]).tolist():
-        own = (
-            (prepared[k].name, structure_of(prepared[k].tables), structure_of(watches[k].tables))
-            if tables[k] is None
-            else k
-        )
-        key[k] = keys.setdefault(own, len(keys))
+        key[k] = keys.setdefault((tables[k] is None, structure(k)), len(keys))
     member_keys = np.where(alone, len(keys) + system, key[owners])
     order = np.arange(len(owners)) if in_order else np.argsort(member_keys, kind="stable")
     cuts = np.flatnonzero(np.diff(member_keys[order])) + 1
@@ -196,10 +189,18 @@ def groups_of(
         k = int(owners[members[0]])
         loop: Any = prepared[k].tables
         watch, stride = watches[k].tables, 0
-        writable, own_columns = tables[k], columns[k]
-        if writable is not None and own_columns is not None:
-            values = own_columns.values[numbers[members]]
-            loop, watch, stride = (*writable.shared(values[0]), 0) if alone[members[0]] else writable.each(values)
+        writable = tables[k]
+        if writable is not None and alone[members[0]]:
+            loop, watch = writable.shared(rows[k][numbers[members[0]]])
+        elif writable is not None:
+            by_loop = np.argsort(owners[members], kind="stable")
+            pieces = np.split(by_loop, np.flatnonzero(np.diff(owners[members[by_loop]])) + 1)
+            written = []
+            for columns in pieces:
+                j = int(owners[members[columns[0]]])
+                own = columns if len(pieces) > 1 else slice(0, len(columns))
+                written.append((tables[j], own, rows[j][numbers[members[columns]]]))
+            loop, watch, stride = side_by_side(len(members), written)
         elif not alone[members[0]]:
             stride = len(members) + -len(members) % block
             loop, watch = (stacked([one[o].tables for o in owners[members].tolist()]) for one in (prepared, watches))
