@@ -107,9 +107,7 @@ class LoadedSolution(StoredSolution):
     def events(self) -> RecordedEvents | None:
         if "event_time" not in self._arrays:
             if "events" in self.attributes:
-                raise ValueError(
-                    f"{self.path}: was copied from an archive without its events; open the archive itself"
-                )
+                raise ValueError(f"{self.path}: was copied from an archive without its events; open the archive itself")
             return None
         events = events_of_dataset(self.dataset, self.system)
         t, x = self._read("event_time"), self._read("event_x")
