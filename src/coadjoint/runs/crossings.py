@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -13,9 +14,17 @@ from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps, values_along
 from coadjoint.long_operations import progress_bar
-from coadjoint.runs.events import Event, RecordedEvents, TerminalEvent
+from coadjoint.runs.events import (
+    Event,
+    RecordedEvents,
+    TerminalEvent,
+    events_of_numbers,
+    joined_events,
+    numbers_of_events,
+)
 from coadjoint.runs.loops.member_batches import status_name
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.plan_and_state import State
 from coadjoint.runs.results.quantities import is_formula
 from coadjoint.runs.run import Run
 from coadjoint.short_repr import distinct, short
@@ -26,17 +35,35 @@ from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import with_time
 from coadjoint.validation import is_integer, read_integer
 
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Values = Callable[[NDArray[np.int64], Floats], Floats]
+Failures = dict[int, tuple[int, tuple[str, float, str]]]
+"""Members that failed during the location of crossings: their step, and status, residual and reason of the failure."""
+
 # Steps of the first chunk, few because an event may end a run soon, and the most of a later one.
 FIRST_CHUNK = 256
 MAX_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28
 """Memory of a chunk; only the part with events is written."""
+ARRAYS, FAILED = "event arrays ", "event failures"
+"""Names of stored numbers: of the arrays of events, with their numbers, and of failures, as JSON."""
+
+
+class Position(NamedTuple):
+    """An `EventRun` after some steps, all of them searched: state, arrays, pieces and counts of crossings, failures."""
+
+    state: State
+    arrays: list[NDArray[Any]]
+    pieces: int
+    counts: Integers
+    failed: Failures
 
 
 class EventRun:
-    """Steps of a run, which is at its start, with location of events."""
+    """Steps of a run with location of events; from its start, or from `stored`, the numbers that it returned there."""
 
-    def __init__(self, run: Run, watched: WatchedEvents) -> None:
+    def __init__(self, run: Run, watched: WatchedEvents, stored: Mapping[str, Any] | None = None) -> None:
         self.run, self.watched = run, watched
         self.parts = PartialSteps(run.plan.system, run.plan.method, run.loops, run.plan.workers)
         members, extent = len(run.start.momenta), run.plan.layout.extent
@@ -50,15 +77,47 @@ class EventRun:
         )
         order = run.loops.order
         self._order = np.arange(members) if order is None else order
-        self._crossing_counts = np.zeros((members, count), dtype=np.int64)
-        self._crossings: list[Crossings] = []
         self._packed_members = members
-        self._pending: FlaggedSteps | None = None  # flags of steps beyond the current chunk
-        self._failed: Failures = {}
         run.plan = run.plan.with_events(self.arrays.address)
-        self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
+        none, failed = np.zeros(0, dtype=np.int64), Failures()
+        rows = np.zeros((0, extent.size)), np.zeros((0, extent.square))
+        found = self._recorded(Crossings(none, none, np.zeros(0), *rows, none, none))
+        if stored is not None:
+            found = events_of_numbers(stored, found, members)
+            self.arrays.restore_arrays([array[self._order] for array in self._arrays_among(stored)])
+            failed = {member: (step, tuple(about)) for member, step, about in json.loads(bytes(stored[FAILED]))}
+            for member, (step, failure) in failed.items():
+                run.mark_failed(member, step, *failure)
+        self._pieces, self._counts, self._failed = [found], np.zeros((members, count), dtype=np.int64), failed
+        np.add.at(self._counts, (found.member, found.which), 1)
+        self.commit()
+
+    @property
+    def found(self) -> RecordedEvents:
+        """All crossings of the steps so far, ordered by member and time."""
+        return joined_events(self._pieces)
+
+    @property
+    def bytes_of_crossings(self) -> int:
+        """Memory of the crossings so far."""
+        return sum(values.nbytes for piece in self._pieces for values in numbers_of_events(piece).values())
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return the numbers with which a run from its state finds the same events."""
+        inverse, failed = np.argsort(self._order), [(m, *failure) for m, failure in self._failed.items()]
+        arrays = {f"{ARRAYS}{k}": array[inverse] for k, array in enumerate(self.arrays.copy())}
+        return {**numbers_of_events(self.found), **arrays, FAILED: np.frombuffer(json.dumps(failed).encode(), np.uint8)}
+
+    def _arrays_among(self, stored: Mapping[str, Any]) -> list[NDArray[Any]]:
+        """Return the arrays of `stored`, in the order of the members; ValueError if they do not fit this run."""
+        arrays = [stored[f"{ARRAYS}{k}"] for k in range(len(self.arrays.copy()))]
+        for own, array in zip(self.arrays.copy(), arrays, strict=True):
+            if (own.shape, own.dtype) != (array.shape, array.dtype):
+                raise ValueError(f"an array of events is {array.dtype} of shape {array.shape}, not {own.shape}")
+        return arrays
 
     def advance(self, progress: bool = False) -> None:
+        """Take all steps, and close the run."""
         run, chunk = self.run, min(FIRST_CHUNK, self._max_chunk)
         steps, first = run.times.steps, 0
         with progress_bar(steps, progress) as bar:
@@ -67,46 +126,38 @@ class EventRun:
                 self._advance_chunk(until)
                 bar(until - first)
                 first = until
-                active = np.flatnonzero(run.state["status"] == codes("Status")["DONE"])
-                if until == steps or not (len(active) or (self._pending is not None and len(self._pending.steps))):
+                if until == steps or not (run.state["status"] == codes("Status")["DONE"]).any():
                     break
-                self._repack_members(active)
                 chunk = min(4 * chunk, self._max_chunk)
-        run.close(np.minimum(self._limits(), run.state.number))
-        self._store_events()
+        run.close(np.minimum(self.limits, run.state.number))
+        run.events = self.found
+        if run.failed_count:
+            run.ending = None
+        run.save_ending()
 
-    def _store_events(self) -> None:
-        run, crossings = self.run, self.found
-        attitude = None
-        if run.start.representation is not None:
-            attitude = run.loops.corrected_groups_at(
-                run.start, crossings.members, crossings.t - run.times.t0, crossings.groups
-            )
-        states = crossings.states[:, : run.start.momenta.shape[1]]
-        run.events = RecordedEvents(
-            self.watched.names,
-            crossings.t,
-            run.start.system.states_of(states),
-            crossings.which,
-            crossings.members,
-            crossings.direction,
-            attitude,
-            self.watched.coordinates,
-            self.watched.events,
+    def advance_to(self, until: int) -> None:
+        """Take the steps up to number `until` in chunks; after an interrupt call `restore`."""
+        while True:
+            self._advance_chunk(min(until, self.run.state.number + self._max_chunk))
+            if self.run.state.number == until or self.run.ending is not None:
+                break
+
+    def commit(self) -> None:
+        """Let `restore` return to this point."""
+        self._position = Position(
+            self.run.state.copy(), self.arrays.copy(), len(self._pieces), self._counts, self._failed
         )
-        last = int(self._limits()[0])
-        if not run.start.single or last >= run.times.steps or run.failed_count:
-            return
-        points = int(np.searchsorted(run.times.saved, last, side="right"))
-        x, t = crossings.states[-1], float(crossings.t[-1])
-        values = run.loops.values_at(x, t, run.state["last"][0])
-        run.ending = TerminalEvent(points + 1, last + 1, t, x, values, None if attitude is None else attitude[-1])
-        if points < run.times.points:
-            # With t_eval, all steps may already be saved.
-            run.saved["x"][points, 0], run.saved["values"][points, 0] = x, values
 
-    def _repack_members(self, active: NDArray[np.int64]) -> None:
-        """Redistribute the active members over the lanes once half of them have ended."""
+    def restore(self) -> None:
+        """Return to the end of the last chunk."""
+        state, arrays, pieces, self._counts, self._failed = self._position
+        self._restore(state, arrays)
+        del self._pieces[pieces:]
+
+    def repack_members(self, packed: int | None = None) -> None:
+        """Redistribute the active members over the lanes once half of those `packed` have ended."""
+        self._packed_members = packed or self._packed_members
+        active = np.flatnonzero(self.run.state["status"] == codes("Status")["DONE"])
         if not 0 < 2 * len(active) <= self._packed_members:
             return
         plan = self.run.plan
@@ -114,49 +165,63 @@ class EventRun:
         if rounds is not None:
             self.run.plan, self._packed_members = plan.with_rounds(rounds), len(active)
 
+    def _restore(self, state: State, arrays: list[NDArray[Any]]) -> None:
+        run, order = self.run, self.run.loops.order
+        if order is not None and state.number < run.state.number == run.times.steps:
+            run.saved = run.saved.take(order, 1)  # which the last step has brought into the order of the members
+        run.state = state.copy()
+        self.arrays.restore_arrays(arrays)
+
     def _advance_chunk(self, until: int) -> None:
         """Take the steps up to number `until`, and locate their events."""
-        checkpoint = self._checkpoint
+        run = self.run
+        self.repack_members()
         flagged = self._flagged_until(until)
-        crossings, failed = self.watched.locate(flagged, self.parts, self.run.times.t0, self.run.times.h)
+        crossings, failures = self.watched.locate(flagged, self.parts, run.times.t0, run.times.h)
         # One step may be flagged for one event at its end, and for another after the next step.
         crossings = crossings.select(
-            np.lexsort((crossings.which, crossings.t * np.sign(self.run.times.h), crossings.members))
+            np.lexsort((crossings.which, crossings.t * np.sign(run.times.h), crossings.members))
         )
-        last = self._record_crossings(crossings)
-        for member, (step, failure) in failed.items():
+        crossings, last = self._counted(crossings)
+        for member, (step, failure) in failures.items():
             if step - 1 <= last[member]:
                 last[member] = step - 1
-                self._failed[member] = step, failure
-        if (last < self._limits()).any():
+                self._failed = {**self._failed, member: (step, failure)}
+        if (last < self.limits).any():
             # A member ended or failed within a step, undetected by the loops: repeat the steps with its limit set.
-            ends = np.minimum(self._limits(), last)
-            self.run.state, self._pending = checkpoint[0].copy(), None
-            self.arrays.restore_arrays(checkpoint[1])
+            ends = np.minimum(self.limits, last)
+            self._restore(self._position.state, self._position.arrays)
             self.arrays.limit[:] = ends[self._order]
             self._flagged_until(until)
         self._mark_ended()
+        if len(crossings.t):
+            self._pieces.append(self._recorded(crossings))
+            self._counts = self._counts.copy()
+            np.add.at(self._counts, (crossings.members, crossings.which), 1)
+            if run.start.single and run.state["status"][0] == codes("Status")["ENDED"]:
+                self._end(crossings)
+        self.commit()
 
     def _flagged_until(self, until: int) -> FlaggedSteps:
-        """Return the flags of the steps up to number `until`; the loops need one further step to set them."""
-        run, batches = self.run, [] if self._pending is None else [self._pending]
-        for target in (until, min(until + 1, run.times.steps)):
+        """Take the steps up to number `until`; return their flags, which the loops set in one further step."""
+        run, first, batches = self.run, self._position.state.number, []
+        for target in sorted({until, min(until + 1, run.times.steps)}):
             # The first call of `advance` initializes the run, even if it has no steps.
             if run.state.number < target or target == 0:
                 run.advance(until=target)
             taken = self.arrays.take()
             batches.append(taken._replace(members=self._order[taken.members]))
             if target == until:
-                self._checkpoint = run.state.copy(), self.arrays.copy()
+                state, arrays = run.state.copy(), self.arrays.copy()
+        self._restore(state, arrays)
         flagged = FlaggedSteps(*(np.concatenate(arrays) for arrays in zip(*batches, strict=True)))
         flagged = flagged.sorted()  # threads flag in any order
-        self._pending = flagged.select(flagged.steps > until)
-        return flagged.select(flagged.steps <= until)
+        return flagged.select((flagged.steps > first) & (flagged.steps <= until))
 
-    def _record_crossings(self, crossings: Crossings) -> NDArray[np.int64]:
-        """Record crossings up to the counts of their events; return the last whole step before each terminal event."""
+    def _counted(self, crossings: Crossings) -> tuple[Crossings, Integers]:
+        """Return crossings up to the counts of their events, and the last whole step before each terminal event."""
         last = np.full(len(self._order), np.iinfo(np.int64).max)
-        rank = self._crossing_counts[crossings.members, crossings.which] + _rank(crossings)
+        rank = self._counts[crossings.members, crossings.which] + _rank(crossings)
         max_counts = np.array([event.count or np.iinfo(np.int64).max for event in self.watched.events])
         until = self.watched.until[crossings.which]
         ends = np.flatnonzero((until > 0) & (rank == np.where(until > 0, until, -1)))
@@ -165,15 +230,30 @@ class EventRun:
         np.minimum.at(end_rows, crossings.members[ends], ends)
         ended = end_rows < len(rank)
         last[ended] = crossings.steps[end_rows[ended]] - 1
-        recorded = crossings.select(
-            (rank <= max_counts[crossings.which]) & (np.arange(len(rank)) <= end_rows[crossings.members])
-        )
-        np.add.at(self._crossing_counts, (recorded.members, recorded.which), 1)
-        self._crossings.append(recorded)
-        return last
+        counted = (rank <= max_counts[crossings.which]) & (np.arange(len(rank)) <= end_rows[crossings.members])
+        return crossings.select(counted), last
 
-    def _limits(self) -> NDArray[np.int64]:
-        """Return the last whole step that each member may take, (members,)."""
+    def _recorded(self, crossings: Crossings) -> RecordedEvents:
+        run, watched, attitude = self.run, self.watched, None
+        if run.start.representation is not None:
+            attitude = run.loops.corrected_groups_at(
+                run.start, crossings.members, crossings.t - run.times.t0, crossings.groups
+            )
+        states = run.start.system.states_of(crossings.states[:, : run.start.momenta.shape[1]])
+        about = crossings.which, crossings.members, crossings.direction, attitude, watched.coordinates, watched.events
+        return RecordedEvents(watched.names, crossings.t, states, *about)
+
+    def _end(self, crossings: Crossings) -> None:
+        """Let the last crossing of a single member be the end of its run."""
+        run, last, attitude = self.run, int(self.limits[0]), self._pieces[-1].attitude
+        points = int(np.searchsorted(run.times.saved, last, side="right"))
+        x, t = crossings.states[-1], float(crossings.t[-1])
+        values = run.loops.values_at(x, t, run.state["last"][0])
+        run.ending = TerminalEvent(points + 1, last + 1, t, x, values, None if attitude is None else attitude[-1])
+
+    @property
+    def limits(self) -> NDArray[np.int64]:
+        """Last whole step that each member may take, (members,)."""
         limits = np.empty_like(self.arrays.limit)
         limits[self._order] = self.arrays.limit
         return limits
@@ -181,19 +261,12 @@ class EventRun:
     def _mark_ended(self) -> None:
         """Mark ended members, which the loops then skip; failures after the end are discarded."""
         state, status = self.run.state, codes("Status")
-        limits = self._limits()
+        limits = self.limits
         ended = limits < state.number
         failed = state["status"] != status["DONE"]
         state["status"][ended & ~(failed & (state["step"] <= limits))] = status["ENDED"]
         for member, (step, failure) in self._failed.items():
             self.run.mark_failed(member, step, *failure)
-
-    @property
-    def found(self) -> Crossings:
-        """All crossings, ordered by member and time."""
-        pieces = self._crossings
-        together = Crossings(*(np.concatenate(arrays) for arrays in zip(*pieces, strict=True)))
-        return together.select(np.argsort(together.members, kind="stable"))
 
 
 def _rank(crossings: Crossings) -> Any:
@@ -207,10 +280,6 @@ def _rank(crossings: Crossings) -> Any:
     rank[order] = np.arange(len(order)) - begins + 1
     return rank
 
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Values = Callable[[NDArray[np.int64], Floats], Floats]
 
 MAX_ROUNDS = 200
 """Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
@@ -233,10 +302,6 @@ class Crossings(NamedTuple):
 
     def select(self, selection: Any) -> Crossings:
         return Crossings(*(array[selection] for array in self))
-
-
-Failures = dict[int, tuple[int, tuple[str, float, str]]]
-"""Members that failed during the location of crossings: their step, and status, residual and reason of the failure."""
 
 
 class WatchedEvents:

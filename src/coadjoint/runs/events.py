@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,6 +25,8 @@ MAX_EVENTS = 64
 MAX_CROSSINGS = 2**53
 """Largest `count`: whole numbers up to it are exact in float64."""
 PER_CROSSING = ("t", "x", "which", "member", "direction")
+NUMBERS = "event "
+"""Prefix of the names of stored arrays of crossings."""
 
 
 @suggest_keywords
@@ -234,6 +236,45 @@ class RecordedEvents:
         matplotlib.figure.Figure
         """
         return shortcut("draw_result")("crossings", self, components, axes)
+
+
+def joined_events(pieces: Sequence[RecordedEvents]) -> RecordedEvents:
+    """Join the crossings of successive parts of a run, or of members."""
+    first = pieces[0]
+    t, x, which, member, direction = (
+        np.concatenate([getattr(piece, name) for piece in pieces]) for name in PER_CROSSING
+    )
+    attitude = None if first.attitude is None else np.concatenate([piece.attitude for piece in pieces])
+    joined = RecordedEvents(first.names, t, x, which, member, direction, attitude, first.coordinates, first.asked)
+    return joined.chosen(np.argsort(member, kind="stable"))
+
+
+def numbers_of_events(events: RecordedEvents) -> dict[str, NDArray[Any]]:
+    """Return the arrays of crossings, by name, with complex numbers as pairs of floats."""
+    names = PER_CROSSING if events.attitude is None else (*PER_CROSSING, "attitude")
+    numbers = {f"{NUMBERS}{name}": getattr(events, name) for name in names}
+    return {**numbers, f"{NUMBERS}x": np.ascontiguousarray(events.x).view(np.float64)}
+
+
+def events_of_numbers(numbers: Mapping[str, Any], like: RecordedEvents, members: int) -> RecordedEvents:
+    """Return the crossings of `numbers_of_events`, with names and shapes of others; ValueError if they do not fit."""
+    arrays = {name: getattr(like, name) for name in (*PER_CROSSING, "attitude")}
+    count = len(numbers[f"{NUMBERS}t"])
+    for name, own in arrays.items():
+        if own is None:
+            continue
+        values = numbers[f"{NUMBERS}{name}"]
+        arrays[name] = values.view(own.dtype) if name == "x" and values.dtype == np.float64 else values
+        if (arrays[name].shape, arrays[name].dtype) != ((count, *own.shape[1:]), own.dtype):
+            raise ValueError(f"{name} of the crossings is {values.dtype} of shape {values.shape}")
+    which, member, direction = arrays["which"], arrays["member"], arrays["direction"]
+    limits = ((which, 0, len(like.names) - 1), (member, 0, members - 1), (abs(direction), 1, 1))
+    if (
+        any((values < least).any() or (values > most).any() for values, least, most in limits)
+        or (np.diff(member) < 0).any()
+    ):
+        raise ValueError("the crossings are of other events or members, or not in their order")
+    return RecordedEvents(like.names, **arrays, coordinates=like.coordinates, asked=like.asked)
 
 
 class TerminalEvent(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.long_operations import paced, progress_bar
+from coadjoint.runs.events import Event
 from coadjoint.runs.plan_and_state import State
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
@@ -20,6 +21,9 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
+
+if TYPE_CHECKING:
+    from coadjoint.runs.crossings import EventRun
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""
@@ -43,6 +47,7 @@ class PiecewiseRun:
         start: Start,
         max_points: int,
         stored: Mapping[str, Any] | None = None,
+        events: tuple[Event, ...] = (),
     ) -> None:
         self._observed = prepared.observed(start)
         state = None if stored is None else state_of(stored)
@@ -52,7 +57,8 @@ class PiecewiseRun:
         passed = 0 if state is None else times.after(state.number).passed
         # At least two: the start alone would leave no room for a step.
         points_held = max_points - passed % max_points if passed else max(2, max_points)
-        self.run = prepared.begun(times._replace(max_points=points_held), start, state=state)
+        self._spare = 1 if events else 0  # of the step that events look ahead, or the end of a run by an event
+        self.run = prepared.begun(times._replace(max_points=points_held + self._spare), start, state=state)
         worst = self.run.state["worst"]
         self._earlier_worst: NDArray[np.float64] = np.zeros_like(worst)
         self._undefined = {"energy": NOT_OCCURRED, "attitude": NOT_OCCURRED}
@@ -62,18 +68,37 @@ class PiecewiseRun:
             self._undefined = {name: np.array(stored[f"undefined {name}"]) for name in self._undefined}
             self.run.initial = np.array(stored["initial"])
         self.order_undefined = False
+        self._events: EventRun | None = None
+        if events:
+            from coadjoint.runs.crossings import EventRun
+
+            watched = prepared.watched(events, start.momenta[0], times.t0)
+            self._events = EventRun(self.run, watched, None if state is None else stored)
 
     @property
     def number(self) -> int:
-        return self.run.state.number
+        """Steps so far, the one in which an event ended a single-member run included."""
+        return self.run.state.number if self.run.ending is None else self.run.ending.steps
 
     @property
     def reach(self) -> int:
         """Last step that can be taken before `release_points`."""
-        return self.run.times.reach
+        times = self.run.times
+        return times._replace(max_points=cast(int, times.max_points) - self._spare).reach
+
+    @property
+    def bytes_of_state(self) -> int:
+        """Size of `stored`, about."""
+        return self.run.state.arrays.numbers.nbytes + self.bytes_of_crossings
+
+    @property
+    def bytes_of_crossings(self) -> int:
+        return 0 if self._events is None else self._events.bytes_of_crossings
 
     @property
     def points_held(self) -> int:
+        if self.run.ending is not None:
+            return self.run.ending.points
         numbers, state = self.run.times.saved, self.run.state
         if self.run.start.single and state["status"][0] not in (codes("Status")["DONE"], codes("Status")["ENDED"]):
             return int(np.searchsorted(numbers, state["step"][0]))
@@ -85,12 +110,18 @@ class PiecewiseRun:
         return self.number == self.run.times.steps or (self.run.start.single and bool(self.run.state["status"][0]))
 
     def advance(self, until: int) -> None:
-        """Take the steps up to number `until`, at most `reach`; an interrupt discards all of them."""
-        before = self.run.state.copy()
+        """Take the steps up to number `until`, at most `reach`; an interrupt discards (the last of) them."""
+        events, before = self._events, self.run.state.copy()
         try:
-            self.run.advance(until=until)
+            if events is None:
+                self.run.advance(until=until)
+            else:
+                events.advance_to(until)
         except BaseException:
-            self.run.state = before
+            if events is None:
+                self.run.state = before
+            else:
+                events.restore()
             self.order_undefined = self.run.loops.order is not None
             raise
         if self.run.initial is None:
@@ -138,6 +169,12 @@ class PiecewiseRun:
             run.saved = run.saved.take(np.argsort(order), 1)
         reported = run.state.arrays.subset(REPORTED_ARRAYS)
         reported["worst"][:] = self.worst
+        if self._events is not None:
+            ended = reported["status"] == codes("Status")["ENDED"]
+            reported["status"][ended] = codes("Status")["DONE"]
+            run.discard_points(self._events.limits)
+            run.save_ending()
+            run.events = self._events.found
         solution = solution_of_run(run, self.points_held, self._observed, _state=reported)
         self._record_undefined(solution)
         return solution
@@ -151,7 +188,10 @@ class PiecewiseRun:
         """Release the saved points in memory; no-op before the first step."""
         run = self.run
         if self.number:
-            run.release_points(self._max_points - run.times.after(self.number).passed % self._max_points)
+            passed = run.times.after(run.state.number).passed
+            run.release_points(self._max_points - passed % self._max_points + self._spare)
+            if self._events is not None:
+                self._events.repack_members(packed=len(run.start.momenta))
 
     @property
     def worst(self) -> NDArray[np.float64]:
@@ -165,17 +205,20 @@ class PiecewiseRun:
         if begin_block:
             self._earlier_worst = self.worst
             self.run.state["worst"][:] = 0.0
+            if self._events is not None:
+                self._events.commit()
         return {
             **{f"{STATE_PREFIX}{name}": value for name, value in self.run.state.to_mapping().items()},
             "earlier": self._earlier_worst,
             "block": block,
             "initial": self.run.initial,
             **{f"undefined {name}": position for name, position in self._undefined.items()},
+            **({} if self._events is None else self._events.stored()),
         }
 
     def failure(self, partial: Any) -> IntegrationError | None:
         """Return the error of a run that is `is_over`, with its partial solution, or None."""
-        if self.run.state["status"].any():
+        if len(self.run.failed_members):
             return self.run.failure(partial)
         for name, occurred in self._undefined.items():
             step, when = occurred.tolist()
@@ -185,10 +228,15 @@ class PiecewiseRun:
 
     def _record_undefined(self, solution: Solution) -> None:
         """Record the first point at which an energy or a group element is not finite although the state is."""
-        running, shape = self.run.state["status"] == 0, (len(solution.t), len(self.run.state["status"]))
+        status = self.run.state["status"]
+        running, shape = np.ones(len(status), dtype=bool), (len(solution.t), len(status))
+        running[self.run.failed_members] = False
         series = {"energy": solution.energy.reshape(shape)[:, running]}
         if self._may_overflow and solution.attitude is not None:
             series["attitude"] = solution.attitude.reshape(*shape, solution.attitude.shape[-1] ** 2)[:, running]
+        if self._events is not None:
+            ended = self.run.times.saved[: len(solution.t), None] > self._events.limits[running]
+            series = {name: np.where(ended.T, 0.0, values.T).T for name, values in series.items()}
         for name, values in series.items():
             first = first_point_not_finite(values)
             if first is not None and self._undefined[name][0] < 0:

@@ -305,7 +305,7 @@ class PreparedRun(Immutable):
             self.cache.plan = plan
         return plan
 
-    def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
+    def watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""
         with self.cache.lock:
             if self.cache.events is None or self.cache.events.events != events:
@@ -703,7 +703,7 @@ class PreparedRun(Immutable):
             if events:
                 from coadjoint.runs.crossings import EventRun
 
-                EventRun(run, self._watched(events, start.momenta[0], times.t0)).advance(progress)
+                EventRun(run, self.watched(events, start.momenta[0], times.t0)).advance(progress)
             else:
                 run.advance(progress)
         except KeyboardInterrupt as stopped:

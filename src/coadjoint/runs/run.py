@@ -99,12 +99,23 @@ class Run:
             self.saved = self.saved.take(np.argsort(order), 1)
         numbers, state = self.times.saved, self.state["status"]
         ended = state == status["ENDED"]
-        for name in ("x", "group", "values"):
-            self.saved[name][numbers[:, None] > last] = np.nan
+        self.discard_points(last)
         state[ended] = status["DONE"]
         energy = self.saved["values"][..., 0]
         undefined = ~np.isfinite(energy) & (numbers[:, None] <= last) & (state == status["DONE"])
         self.failed_count = int(np.count_nonzero((state != status["DONE"]) | undefined.any(axis=0)))
+
+    def discard_points(self, last: NDArray[np.int64]) -> None:
+        """Discard the points of members, in their order, after their last steps."""
+        for name in ("x", "group", "values"):
+            self.saved[name][self.times.saved[:, None] > last] = np.nan
+
+    def save_ending(self) -> None:
+        """Save the event that ended a single-member run as its last point."""
+        # With t_eval, all steps may already be saved.
+        if self.ending is not None and self.ending.points <= self.times.points:
+            point = self.ending.points - 1, 0
+            self.saved["x"][point], self.saved["values"][point] = self.ending.x, self.ending.values
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
@@ -226,8 +237,13 @@ class Run:
         stopped.partial = self.interrupted(observed)  # type: ignore[attr-defined]
         stopped.add_note("The solution so far is the attribute partial of the error; archive= stores it on disk")
 
+    @property
+    def failed_members(self) -> NDArray[np.int64]:
+        status = codes("Status")
+        return np.flatnonzero((self.state["status"] != status["DONE"]) & (self.state["status"] != status["ENDED"]))
+
     def failure(self, partial: Any) -> IntegrationError:
-        failed = self.state["status"].nonzero()[0]
+        failed = self.failed_members
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)
         solution = solution_of_run(self, self.times.points, None)

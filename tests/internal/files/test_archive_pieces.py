@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archives import archived_solution, stored_arrays
+from coadjoint.files.archives import archived_run, archived_solution, stored_arrays
 from coadjoint.files.archives.archive import Archive
 from coadjoint.files.archives.folder import ArchiveError
 from coadjoint.runs import piecewise_run
@@ -30,20 +30,26 @@ def rows(monkeypatch):
     return set_rows
 
 
+EVENTS = [co.Event("x1"), co.Event("x2", terminal=True, direction=1)]
+
+
+@pytest.mark.parametrize("events", [None, EVENTS], ids=["no events", "events"])
 @pytest.mark.parametrize("count", [2, 5])
-def test_extra_last_point_after_full_chunks(tmp_path, rows, count):
+def test_extra_last_point_after_full_chunks(tmp_path, rows, count, events):
     """It follows sooner than save_every steps after a point that may have filled a chunk."""
     rows(count)
     for steps in range(4 * count - 5, 4 * count + 5):
         run, path = (BODY, X, (0, steps * STEP), STEP, co.GaussLegendre(2)), tmp_path / f"{steps}.zarr"
-        expected = co.integrate(*run, save_every=4)
-        found = co.integrate(*run, save_every=4, archive=path)
+        expected = co.integrate(*run, save_every=4, events=events)
+        found = co.integrate(*run, save_every=4, events=events, archive=path)
+        check_same(found, expected)
         for name in ("t", "x", "energy"):
             assert np.array_equal(getattr(found, name), getattr(expected, name))
 
 
+@pytest.mark.parametrize("events", [None, EVENTS], ids=["no events", "events"])
 @pytest.mark.parametrize(("every", "x0"), [(2, X), (1, SEVERAL)], ids=["one", "members"])
-def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0):
+def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0, events):
     """Every saved point of many members or large matrices has chunks of its own."""
     advance, calls, path = PiecewiseRun.advance, [], tmp_path / "run.zarr"
 
@@ -54,14 +60,30 @@ def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0):
 
     monkeypatch.setattr(PiecewiseRun, "advance", bounded)
     monkeypatch.setattr(stored_arrays, "CHUNK_BYTES", 8)
-    expected = co.integrate(BODY, x0, SPAN, STEP, save_every=every)
-    co.integrate(BODY, x0, (0.0, 2 * STEP), STEP, save_every=every, archive=path)
+    expected = co.integrate(BODY, x0, SPAN, STEP, save_every=every, events=events)
+    co.integrate(BODY, x0, (0.0, 2 * STEP), STEP, save_every=every, events=events, archive=path)
     for end, until in ((2.0, 6), (None, None)):
         found = co.resume(path, end, until=until)
     check_same(found, expected)
     if x0 is SEVERAL:
-        options = {"save_every": every, "archive": tmp_path / "many", "members_per_block": 1}
+        options = {"save_every": every, "archive": tmp_path / "many", "members_per_block": 1, "events": events}
         check_same(co.integrate_ensemble(BODY, x0, SPAN, STEP, **options), expected)
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_more_crossings_than_an_archive_holds(tmp_path, monkeypatch, blocks):
+    """The steps before are in the archive; with a higher limit the run is resumed."""
+    path, run = tmp_path / "run.zarr", (BODY, SEVERAL, (0.0, 200.0), STEP)
+    expected = co.integrate(*run, events=EVENTS[0])
+    monkeypatch.setattr(archived_run, "MAX_CROSSING_BYTES", 10 * 7 * 8)
+    assert len(expected.events.of(0)) > 10
+    given = {"archive": path, "events": EVENTS[0], **({"members_per_block": 1} if blocks else {})}
+    with refused((ArchiveError, OSError), "crossed", "count"):
+        (co.integrate_ensemble if blocks else co.integrate)(*run, **given)
+    assert len(co.open_archive(path).events) <= 30
+    monkeypatch.undo()
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    check_same(co.resume(path), expected)
 
 
 @pytest.mark.parametrize("commits", [1, 3, 100])

@@ -25,7 +25,7 @@ Arguments = dict[str, Any]
 STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])
 INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.25))
 FLUID, SPIRAL = co.systems.torus_euler(N=3), co.systems.paper_a37()
-PRODUCT = co.Polynomial({(1, 1, 0): 2.0})
+PRODUCT, SQUARE = co.Polynomial({(1, 1, 0): 2.0}), co.Polynomial({(0, 0, 2): 1.0, (0, 0, 0): -0.5})
 FORCES = (co.forces.LinearDamping((0.1, 0.2, 0.3)), co.forces.Torque((0.0, 0.05, 0.1)))
 
 
@@ -66,11 +66,34 @@ RUNS: dict[str, Arguments] = {
     "spirals": arguments(SPIRAL, abs(STARTS) + 0.1, 1, co.GaussLegendre(2), attitude="coadjoint"),
     "matrices": arguments(FLUID, np.array([FLUID.random(seed=k, degrees=(1, 1)) for k in range(3)]), -1),
     "own steps": arguments(BODY, STARTS, 1, co.Taylor(order=8, tolerance=1e-9)),
+    "one body with events": arguments(
+        BODY.with_forces(*FORCES),
+        STARTS[1],
+        -1,
+        co.GaussLegendre(2),
+        attitude=True,
+        events=[co.Event("x2"), co.Event("x1", terminal=True)],
+    ),
+    "members with events": arguments(
+        BODY,
+        2.0 * STARTS,
+        -1,
+        co.Splitting(order=4),
+        attitude=True,
+        events=[co.Event(PRODUCT), co.Event("x3", terminal=True, direction=-1), co.Event("x2", count=1)],
+    ),
+    "interleaved batch with events": arguments(
+        co.batch([(BODY, PLATE)[m % 2] for m in range(5)]),
+        np.array([*STARTS, *(2.0 * STARTS[:2])]),
+        1,
+        co.Splitting(),
+        events=[co.Event("x1", terminal=True), co.Event("x2"), co.Event(SQUARE)],
+    ),
     "start left out": arguments(bodies(), STARTS, 1, save_every=1, t_eval=T0 + np.array([1.01, 2.5, 3.875])),
 }
 FUNCTIONS = {"members": {"observe": RUNS["members"]["observe"]}}
 """What is not stored, and must be given to `resume`."""
-SINGLE = ("one body", "top", "one matrix")
+SINGLE = ("one body", "top", "one matrix", "one body with events")
 
 
 @cache
@@ -144,6 +167,7 @@ PAIRS = [
     for store in STORES
     for name in RUNS
     if not ((name == "start left out" and store in NO_OUTPUT_TIMES) or (name in SINGLE and store in MEMBERS_ONLY))
+    and not ("events" in RUNS[name] and store == "copy of an archive")
 ]
 
 

@@ -266,14 +266,31 @@ x = [1.0, 0.1, 0.5]
 t_span = [0.0, 1.0]
 step = 0.125
 """
-ON_WORKERS = SWEEP + 'workers = 2\n[output]\narchive = "many.zarr"\n'
+EVENTS = '[events.flip]\ng = "x2"\n[events.far]\ng = "x1^2 - 0.49"\ndirection = -1\nterminal = true\n'
+ON_WORKERS = SWEEP + "workers = 2\n" + EVENTS + '[output]\narchive = "many.zarr"\n'
+
+
+def test_command_stores_events_and_resumes_them(tmp_path, monkeypatch, capsys):
+    """The run of a file is stopped after 10 of 32 steps; a terminal event ends it."""
+    monkeypatch.chdir(tmp_path)
+    ending = EVENTS.replace("0.49", "1.005").replace("-1", "1")
+    Path("alone.toml").write_text(RUN.replace("0.25]", "4.0]").partition("[output]")[0] + ending)
+    Path("run.toml").write_text(RUN + ending)
+    assert command(capsys, "run", "alone.toml", "--out", "alone.nc", "--quiet").status == 0
+    assert command(capsys, "run", "run.toml", "--quiet").status == 0
+    assert co.resume("run.zarr", 4.0, until=10).reached == 10
+    assert command(capsys, "resume", "run.zarr", "--out", "run.nc", "--quiet").status == 0
+    alone = co.load("alone.nc")
+    assert alone.t[-1] == alone.events["far"].t[0] < 4.0
+    for found in (co.open_archive("run.zarr"), co.load("run.nc")):
+        check_same(found, alone, work=False)
 
 
 @pytest.mark.long
 def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("run.toml").write_text(ON_WORKERS)
-    Path("alone.toml").write_text(SWEEP)
+    Path("alone.toml").write_text(SWEEP + EVENTS)
     done = command(capsys, "run", "run.toml")
     assert done.status == 0 and "written: many.zarr" in done.out
     assert command(capsys, "run", "alone.toml", "--out", "alone.nc", "--quiet").status == 0

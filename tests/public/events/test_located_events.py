@@ -229,3 +229,20 @@ def test_zero_at_a_step_is_one_crossing(method, direction, sense):
     run = co.integrate(system, (-sense, 0.0, 1.0), (0.0, 2.0), 0.25, method, events=[co.Event(0, direction=direction)])
     wanted = [] if direction == -sense else [1.0]
     assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)
+
+
+def test_a_pair_that_ends_members_in_another_order_leaves_their_earlier_points():
+    """The loops have other members side by side, and repeat the last steps once the pair is found in one of them."""
+
+    def pair(x, t):
+        return (t - 75.1) ** 2 - 0.001
+
+    event, plate = co.Event(pair, terminal=True), co.systems.rigid_body(inertia=(1, 1, 2))
+    bodies = [(BODY, plate)[m % 2] for m in range(5)]
+    x0 = np.multiply.outer(np.linspace(0.5, 1.0, 5), FLIPPING)
+    together = co.integrate(co.batch(bodies), x0, (0, 100), 0.25, events=event)
+    for m, body in enumerate(bodies):
+        alone = co.integrate(body, x0[m], (0, 100), 0.25, events=event)
+        assert abs(alone.t[-1] - (75.1 - np.sqrt(0.001))) < 1e-12
+        np.testing.assert_array_equal(together.x[: len(alone.t) - 1, m], alone.x[:-1])
+        assert np.isnan(together.x[len(alone.t) - 1 :, m]).all()

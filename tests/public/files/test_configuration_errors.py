@@ -123,13 +123,9 @@ REFUSED = {
     "workers for one state": (ready(STEP, f"{STEP}\nworkers = 2"), "run.workers", ("one state",)),
     "workers and times": (
         changed(READY_MADE, (X, MANY), (STEP, f"{STEP}\nworkers = 2\nt_eval = [0.5]")), "run.workers", ("t_eval",)),
-    "workers and events": (
-        changed(READY_MADE, (X, MANY), (STEP, f'{STEP}\nworkers = 2\n[events.flip]\ng = "x1"')),
-        "run.workers", ("events",)),
     "no workers": (changed(READY_MADE, (X, MANY), (STEP, f"{STEP}\nworkers = 0")), "run.workers", ("0",), True),
     "times in an archive": (
         READY_MADE + "t_eval = [0.5]\n[output]\narchive = 'a.zarr'\n", "output.archive", ("t_eval",)),
-    "events in an archive": (EVENTS + "[output]\narchive = 'a.zarr'\n", "output.archive", ("events",)),
     "an unknown force": (FORCED.replace('"Torque"', '"Torqe"'), "forces[1]", ("'Torque'",), True),
     "a parameter of no force": (FORCED.replace("rate", "rtae"), "forces[0]", ("'rate'",), True),
     "a short rate": (FORCED.replace("0.2, 0.3]", "0.2]"), "forces", ("LinearDamping", "(2,)")),

@@ -31,6 +31,7 @@ from coadjoint.files.archives.archive import (
 )
 from coadjoint.files.archives.folder import ArchiveError, read_archive_path
 from coadjoint.files.archives.run_checks import (
+    EVENTS_ATTRIBUTE,
     FUNCTIONS_ATTRIBUTE,
     OBSERVED_ATTRIBUTE,
     function_attributes,
@@ -38,7 +39,7 @@ from coadjoint.files.archives.run_checks import (
 )
 from coadjoint.files.archives.store import ArchiveStore, unwritten_archive
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
-from coadjoint.files.datasets.export import attributes_of, failure_attributes
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, attributes_of, failure_attributes
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import (
     TIME,
@@ -52,7 +53,9 @@ from coadjoint.files.datasets.variables import (
     time_variables,
 )
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
+from coadjoint.memory import format_bytes
 from coadjoint.runs.error_estimates import lost_invariant
+from coadjoint.runs.events import Event
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -81,12 +84,15 @@ IDENTITY_ATTRIBUTES = {
     "watch": "watch",
     "attitude_carried": "the attitude",
     OBSERVED_ATTRIBUTE: "observe",
+    EVENTS_ATTRIBUTE: "events",
     ACCOUNTS_ATTRIBUTE: "the forces",
     "coadjoint_version": "the version of coadjoint",
     FIRST_STEP: "the first step, by a function or a number that is not stored,",
 }
 """Attributes that an archive must share with a run that continues it, and their names in messages."""
 START_NAMES = {"x0": "x0", "attitude0": "the initial attitude"}
+MAX_CROSSING_BYTES = 2**27
+"""Limit on the crossings of a run or of a block, which are stored anew with each state."""
 LOST = 1e300
 """Largest deviation of an invariant, relative to its size, that is stored."""
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
@@ -101,10 +107,11 @@ class PlannedRun(NamedTuple):
     start: Start
     coordinates: Variables
     further: Mapping[str, Any]
+    events: tuple[Event, ...] = ()
 
     def in_pieces(self, max_points: int, stored: Mapping[str, Any] | None = None) -> PiecewiseRun:
         """Return the run in pieces of so many points, resumed from stored numbers if there are any."""
-        return PiecewiseRun(self.prepared, self.times, self.start, max_points, stored)
+        return PiecewiseRun(self.prepared, self.times, self.start, max_points, stored, self.events)
 
     def at_start(self) -> PiecewiseRun:
         """Return the run before its first step."""
@@ -123,7 +130,7 @@ class PlannedRun(NamedTuple):
         return {
             **attributes_of(piece),
             ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of_work(piece)),
-            **function_attributes(self.prepared),
+            **function_attributes(self.prepared, self.events),
             FIRST_STEP: self.first_step(),
         }
 
@@ -272,6 +279,12 @@ class ArchiveSink:
 
     def _write(self, run: PiecewiseRun, piece: Solution) -> None:
         """Write the points of a piece; the times of an ensemble are written when its archive is begun."""
+        if run.bytes_of_crossings > MAX_CROSSING_BYTES:
+            whose, limit = "run" if self.block is None else "block of members", format_bytes(MAX_CROSSING_BYTES)
+            raise ArchiveError(
+                f"its events have crossed {len(piece.events or ())} times, and an archive holds at most {limit} of "
+                f"crossings for a {whose}; give the events a count, or integrate without archive"
+            )
         members = () if self.block is None else (self.block.first,)
         series = time_variables(piece) | (time_coordinate(piece.t) if self.block is None else {})
         for name, (_, values, _) in series.items():
@@ -308,7 +321,7 @@ class ArchiveSink:
         """Store the state; return the states to retain: those at block starts, and the last of an unfinished run."""
         store = self.store
         blocks = [state for state in self._states if state.about["block"]]
-        bytes_of_state = 8 * run.run.state.arrays.numbers.size
+        bytes_of_state = run.bytes_of_state
         max_state_bytes = max(
             MIN_STATE_BYTES, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4
         )
@@ -336,4 +349,5 @@ def progress_of(run: PiecewiseRun, piece: Solution, earlier_seconds: float) -> d
         "iterations": stats.iterations,
         "seconds": earlier_seconds + stats.seconds,
         **(failure_attributes(failure) if failure else {}),
+        **({} if run.run.ending is None else {ENDED_ATTRIBUTE: run.number}),
     }

@@ -28,13 +28,15 @@ from coadjoint.files.archives.archive import (
     total_progress,
 )
 from coadjoint.files.archives.folder import ArchiveError, ArchiveUnreadable, Folder, read_location, reading
-from coadjoint.files.archives.run_checks import check_archive, check_reported
+from coadjoint.files.archives.run_checks import EVENTS_ATTRIBUTE, check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
-from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
+from coadjoint.files.datasets.named_axes import MEMBER, coordinate_variables, label_of, stored_axes, unstacked
 from coadjoint.files.datasets.stored_solution import StoredSolution, stored_inputs
-from coadjoint.files.datasets.variables import with_vorticity
+from coadjoint.files.datasets.variables import event_variables, joined_complex, with_vorticity
+from coadjoint.files.records.reconstruction import events_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.events import NUMBERS, RecordedEvents, events_of_numbers, joined_events
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
@@ -57,8 +59,6 @@ class ArchivedSolution(StoredSolution):
     _archive: Archive
     _given_system: Any
     _state: Mapping[str, Any] | None
-    _ending = None
-    events = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return solution_at, (self._archive.folder, self._given_system, identity_of(self.attributes))
@@ -99,6 +99,8 @@ class ArchivedSolution(StoredSolution):
                 variables[name] = unstacked(xarray.Dataset(coords=entry, attrs=own))[name].variable
             else:
                 variables[label_of(name, axes)] = variable(ArchivedArray(self._archive, name, axes))
+        if self.events is not None:
+            variables |= event_variables(self.events)
         variables |= coordinate_variables(axes)
         coordinates = [name for name in [*coordinates, *coordinate_variables(axes)] if name in variables]
         dataset = xarray.Dataset(variables, attrs=own).set_coords(coordinates)
@@ -133,6 +135,32 @@ class ArchivedSolution(StoredSolution):
         evaluations, iterations, seconds = (self._progress[name] for name in ("evaluations", "iterations", "seconds"))
         elapsed = float(self.attributes.get("elapsed", np.nan))
         return Statistics(self.reached, evaluations, iterations, float(seconds), elapsed)
+
+    @cached_property
+    def events(self) -> RecordedEvents | None:
+        """The crossings found so far, also those of blocks that are not finished."""
+        if EVENTS_ATTRIBUTE not in self.attributes:
+            return None
+        try:
+            system = self.system
+        except ValueError:  # its functions were not stored
+            system = None
+        archive, arrays, none = self._archive, self._arrays, np.zeros(0, dtype=np.int64)
+        with reading(archive.folder, "the events"):
+            asked = events_of(self.attributes[EVENTS_ATTRIBUTE], EVENTS_ATTRIBUTE, system)
+            x = joined_complex(np.zeros((1, *arrays["x0"].shape[MEMBER in arrays["x0"].dims :])), arrays["x0"].dims)
+            attitude = np.zeros((0, *arrays["attitude0"].shape[-2:])) if "attitude0" in arrays else None
+            coordinates = tuple(map(str, self._read("component"))) if "component" in arrays else ()
+            names = tuple(str(event.name) for event in asked)
+            found = RecordedEvents(names, np.zeros(0), x[:0], none, none, none, attitude, coordinates, asked)
+            if self._state is not None:
+                return events_of_numbers(self._state, found, archive.members)
+            pieces = [found]
+            for block in archive.blocks:
+                if (marker := archive.read_marker(block)) is not None:
+                    pieces.append(events_of_numbers(marker.numbers, found, block.last - block.first))
+                    pieces[-1].member += block.first
+            return joined_events(pieces)
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
@@ -183,7 +211,7 @@ def _opened(archive: Archive, system: Any) -> Solution:
         archive.sums = sums_among(stored)
         with reading(archive.folder, "the archive"):
             check_reported(stored, archive)
-        state = {name: stored[name] for name in REPORTED_ARRAYS}
+        state = {name: stored[name] for name in stored if name in REPORTED_ARRAYS or name.startswith(NUMBERS)}
     archive.check_extent()
     return ArchivedSolution(fields | {"_state": state})
 

@@ -75,7 +75,7 @@ def _run_blocks(
     def submitted(block: MemberBlock, attempt: int) -> Any:
         of_block = tables if is_shared else prepared.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{attempt}"
-        arguments = archive, block, of_block, is_shared, run, threads
+        arguments = archive, block, of_block, planned.events, is_shared, run, threads
         return client.submit(run_block, *arguments, key=key, retries=RETRIES, **options)
 
     tasks = {submitted(block, 0): block for block in remaining}

@@ -29,7 +29,7 @@ from coadjoint.files.archives.archive import (
 )
 from coadjoint.files.archives.archived_run import ArchiveSink, PlannedRun, create_archive
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
-from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, read_archive_path, timeout
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, read_archive_path, reading, timeout
 from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
@@ -39,6 +39,7 @@ from coadjoint.long_operations import progress_bar, read_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.error_estimates import warn_of_blocks, warn_of_large_step
+from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -127,6 +128,7 @@ def integrate_ensemble(
     threads: int | None = None,
     progress: bool = False,
     coordinates: Mapping[str, Any] | None = None,
+    events: Any = None,
 ) -> Solution:
     """Integrate many members in blocks, on the workers of a cluster or here, into one archive.
 
@@ -158,6 +160,8 @@ def integrate_ensemble(
         Show a progress bar over the members.
     coordinates : mapping, optional
         Name -> numbers, one for each member, such as parameters that differ: coordinates of the dataset.
+    events : Event or sequence of Event, optional
+        Events to locate, as for `integrate`; a terminal event ends the run of a member.
 
     Returns
     -------
@@ -200,7 +204,7 @@ def integrate_ensemble(
     members = len(prepared.start(x0).momenta)
     along = _along_members({} if coordinates is None else coordinates, members)
     arguments = prepared, x0, t_span, save_every, archive, pool
-    return run_in_blocks(*arguments, size=size, progress=progress, coordinates=along)
+    return run_in_blocks(*arguments, size=size, progress=progress, coordinates=along, events=events)
 
 
 def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:
@@ -234,10 +238,11 @@ def run_in_blocks(
     progress: bool = False,
     coordinates: Variables | None = None,
     attributes: Mapping[str, Any] | None = None,
+    events: Any = None,
 ) -> Solution:
     """Run an ensemble in blocks of `size` members; see `integrate_ensemble`."""
     times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
-    planned = PlannedRun(prepared, times, start, coordinates or {}, attributes or {})
+    planned = PlannedRun(prepared, times, start, coordinates or {}, attributes or {}, read_events(events))
     if planned.start.single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     if archive is not None:
@@ -278,7 +283,7 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
             planned.check_same_run(store)
             remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
-            _run_serially(store, remaining, prepared, progress)
+            _run_serially(store, remaining, planned, progress)
         else:
             from coadjoint.files.archives.dask_blocks import on_client, on_processes
 
@@ -295,13 +300,14 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
     return solution
 
 
-def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: PreparedRun, progress: bool) -> None:
+def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], planned: PlannedRun, progress: bool) -> None:
     """Run blocks in this process, one after the other."""
+    about = planned.prepared, planned.events, True, identity_of(store.attributes), None
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         for block in remaining:
             with _writing(store):
                 store.check_lock()
-            if run_block(str(store.path), block, prepared, True, identity_of(store.attributes), None) == BUSY:
+            if run_block(str(store.path), block, *about) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
 
@@ -316,7 +322,13 @@ def _writing(store: ArchiveStore) -> Iterator[None]:
 
 
 def run_block(
-    archive: str, block: MemberBlock, prepared: PreparedRun, all_members: bool, run: str, threads: int | None
+    archive: str,
+    block: MemberBlock,
+    prepared: PreparedRun,
+    events: tuple[Event, ...],
+    all_members: bool,
+    run: str,
+    threads: int | None,
 ) -> dict[str, Any]:
     """Run a block of the archive of a run from its marker to its end; return the new head, or ``BUSY`` if locked."""
     path, host = Path(archive), platform.node()
@@ -344,7 +356,9 @@ def run_block(
         of_block, marker = prepared.among(first, last, threads), store.begin_block(block)
         head, stored = marker or ({FINISHED: 0}, None)
         sink = ArchiveSink(store, head, block)
-        pieces = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
+        with reading(path, f"{HIDDEN_FOLDER}/{block.marker}"):
+            start = of_block.start(x0, attitude)
+            pieces = PiecewiseRun(of_block, times, start, arrays[TIME].chunk[0], stored, events)
         if marker is None:
             pieces.advance(0)
         if not head[FINISHED]:

@@ -26,9 +26,11 @@ from coadjoint.files.archives.archived_run import ArchiveSink, PlannedRun, creat
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 from coadjoint.files.archives.folder import ArchiveError, read_archive_path, reading
-from coadjoint.files.archives.run_checks import observed_again
+from coadjoint.files.archives.run_checks import events_again, observed_again
 from coadjoint.files.archives.store import ArchiveStore, unwritable_error
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE
 from coadjoint.files.datasets.variables import Variables
+from coadjoint.kernels.interface import codes
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
@@ -55,11 +57,11 @@ def archive_run(
 ) -> Solution:
     """Run into a new archive; parameters as for `coadjoint.integrate`, and what is stored beside the run."""
     require_packages("an archive of a run", "xarray", "zarr")
-    if t_eval is not None or read_events(events):
-        raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
+    if t_eval is not None:
+        raise ValueError("an archive saves every save_every-th step; omit t_eval")
     began = time.perf_counter()
     times, further = prepared.times_of(t_span, save_every)[0], {**(attributes or {}), SAVE_EVERY: int(save_every)}
-    planned = PlannedRun(prepared, times, prepared.start(x0), coordinates or {}, further)
+    planned = PlannedRun(prepared, times, prepared.start(x0), coordinates or {}, further, read_events(events))
     store = create_archive(planned, archive)
     with closing(store, prepared.system):
         return _continued(store, planned, None, progress, None, began)
@@ -91,11 +93,9 @@ def resume(
         A new end, a whole number of steps from the start (up to rounding, as in `integrate`) and later than what was
         computed. The result is bitwise equal to a run with this end from the beginning. Some steps, usually less than
         a sixth, are recomputed to find the drifts in each tenth of the new run.
-    system, observe : optional
+    system, observe, events : optional
         Those of the run, if they contain Python functions, which are not stored. They are compared with those with
         which the run began, as far as `coadjoint.files.archives.run_checks` can, and rejected if they differ.
-    events : optional
-        Runs in archives have no events; any are rejected.
     threads : int, optional
         As for `integrate`; it does not affect the result.
     progress : bool
@@ -134,12 +134,12 @@ def resume(
     began, archive_path = time.perf_counter(), read_archive_path(path)
     archive = open_archive(archive_path, system)
     if BLOCK_SIZE_ATTRIBUTE in archive.attributes:
-        if t_end is not None or events is not None or until is not None:
-            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
+        if t_end is not None or until is not None:
+            raise ValueError("resume takes no t_end or until for an ensemble in blocks; omit them")
         pool = read_worker_pool(client, workers, threads)
-        prepared, inputs = _prepared_again(archive, system, observe, pool.threads)
+        prepared, inputs = _prepared_again(archive, system, observe, events, pool.threads)
         arguments = inputs["x0"], inputs["t_span"], inputs["save_every"], archive.path, pool
-        return run_in_blocks(prepared, *arguments, progress=progress)
+        return run_in_blocks(prepared, *arguments, progress=progress, events=inputs["events"])
     if client is not None or workers is not None:
         raise ValueError(f"{archive_path}: is the archive of one run; client and workers are for ensembles in blocks")
     if archive.finished and (t_end is None or archive.attributes.get("run_failed")):
@@ -148,11 +148,9 @@ def resume(
     with closing(store, system):
         archive = open_archive(archive_path, system)
         archive.check_complete()
-        if read_events(events):
-            raise ArchiveError(f"{archive_path}: the run has no events; omit events")
-        prepared, inputs = _prepared_again(archive, system, observe, threads)
+        prepared, inputs = _prepared_again(archive, system, observe, events, threads)
         times, _ = prepared.times_of(inputs["t_span"], inputs["save_every"])
-        planned = PlannedRun(prepared, times, prepared.start(inputs["x0"]), {}, {})
+        planned = PlannedRun(prepared, times, prepared.start(inputs["x0"]), {}, {}, inputs["events"])
         if planned.first_step() != store.attributes[FIRST_STEP]:
             raise ArchiveError(
                 f"{archive_path}: the recomputed first step differs in bits from that of the archive, begun by "
@@ -174,12 +172,13 @@ def resume(
 
 
 def _prepared_again(
-    archive: Solution, system: Any, observe: Mapping[str, Any] | None, threads: int | None
+    archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any, threads: int | None
 ) -> tuple[PreparedRun, dict[str, Any]]:
     """Prepare the run of an archive again; return also all its arguments."""
     observed = observed_again(archive, system, observe)
     with reading(archive.path, "the archive"):
         inputs = {**archive.inputs(), "method": archive.method}
+    inputs["events"] = events_again(archive, inputs["system"], events)
     options = {name: inputs[name] for name in ("attitude", "watch")}
     return PreparedRun(
         inputs["system"], inputs["method"], inputs["step"], observe=observed, threads=threads, **options
@@ -210,6 +209,10 @@ def extended_times(store: ArchiveStore, planned: PlannedRun, t_end: Any) -> Time
     extended = times_between(ends, step, attributes[SAVE_EVERY])
     if extended.steps == times.steps and extended.h == times.h:
         return times
+    if archive_ended := attributes.get(ENDED_ATTRIBUTE):
+        raise ArchiveError(
+            f"{store.path}: an event has ended the run in step {archive_ended}, before its end; omit t_end"
+        )
     if attributes["between_steps"]:
         raise ArchiveError(f"{store.path}: the run saves states at given times, and cannot be continued to a later end")
     done = attributes[STEPS]
@@ -272,7 +275,10 @@ def _recompute(store: ArchiveStore, previous: Any, next_state: Any, planned: Pla
         run.advance(min(last, run.reach))
         if run.number < last:
             run.release_points()
-    if not np.array_equal(run.run.state["momenta"], next_state[f"{STATE_PREFIX}momenta"], equal_nan=True):
+    # Members that events have ended are computed to the end of a piece, which may be another one now.
+    continued = next_state[f"{STATE_PREFIX}status"] != codes("Status")["ENDED"]
+    own, stored = run.run.state["momenta"], next_state[f"{STATE_PREFIX}momenta"]
+    if not np.array_equal(own[continued], stored[continued], equal_nan=True):
         raise ArchiveError(
             f"{store.path}: recomputed steps have other bits than before; resume on the machine where "
             "the archive was begun, and with the same system"

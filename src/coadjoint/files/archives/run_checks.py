@@ -30,23 +30,27 @@ from coadjoint.files.archives.archive import (
 )
 from coadjoint.files.archives.folder import ArchiveError, reading
 from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE
 from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
 from coadjoint.files.datasets.variables import SIZES, TIME
 from coadjoint.files.records.entries import EXACT, INTEGRAL, Entry, parsed
-from coadjoint.files.records.reconstruction import invariants_of
-from coadjoint.files.records.records import functions_among, invariants_record, record_of
+from coadjoint.files.records.reconstruction import events_of, invariants_of
+from coadjoint.files.records.records import event_record, functions_among, invariants_record, record_of
 from coadjoint.kernels.functions.contents import contents_of
+from coadjoint.runs.crossings import names_of
+from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.piecewise_run import STATE_PREFIX
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import Times, times_of
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import is_real
 
-FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
-"""Attributes with the fingerprints of functions, and with the observed quantities."""
+FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, EVENTS_ATTRIBUTE = "archive_given", "archive_observed", "events"
+"""Attributes with the fingerprints of functions, with the observed quantities, and with the events."""
 TEXT_ATTRIBUTES = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
 SUMMARY_ARRAYS = ({"drift"}, {"change", "balance", "work"})
 """Arrays over the invariants, of a run without forces and with them."""
@@ -95,6 +99,12 @@ def check_archive(archive: Archive) -> None:
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
             raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
         sizes = check_arrays(arrays, accounts)
+        if EVENTS_ATTRIBUTE in attributes:
+            parsed(attributes[EVENTS_ATTRIBUTE], EVENTS_ATTRIBUTE).table()
+        if ENDED_ATTRIBUTE in attributes and (
+            entry[ENDED_ATTRIBUTE].integer(1) != attributes[STEPS] or not attributes[FINISHED] or MEMBER in sizes
+        ):
+            raise entry[ENDED_ATTRIBUTE].invalid_error(f"{STEPS} of a finished run of one member")
         stored_axes(attributes, sizes.get(MEMBER, 1))
         if is_bound or not archive.has_blocks:
             _check_states(attributes)
@@ -162,6 +172,8 @@ def _expected_points(entry: Entry, archive: Archive, times: Times, rows: int) ->
     numbers = [state.about["number"] for state in states]
     if numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
         raise entry[STATES].invalid_error("a list of states, of which the last one is that of the last commit")
+    if ENDED_ATTRIBUTE in attributes:  # by an event in the last step, which is the last point
+        return times.after(attributes[STEPS] - 1).passed + 1
     expected = times.after(attributes[STEPS]).passed
     # A failed run has saved the points before its failure.
     return min(rows, expected) if attributes.get("run_failed") else expected
@@ -179,7 +191,7 @@ def check_reported(stored: Mapping[str, NDArray[Any]], archive: Archive) -> None
             raise ValueError(f"{name} of the state has the shape {stored[name].shape}; it must be {shape}")
 
 
-def function_attributes(prepared: PreparedRun) -> dict[str, str]:
+def function_attributes(prepared: PreparedRun, events: tuple[Event, ...]) -> dict[str, str]:
     """Return the attributes with the observed quantities and the fingerprints of functions."""
     observed, fingerprints = prepared.observe, {}
     functions = functions_in(prepared.system)
@@ -188,6 +200,8 @@ def function_attributes(prepared: PreparedRun) -> dict[str, str]:
     functional_quantities = functions_among(observed)
     if functional_quantities:
         fingerprints["observe"] = {"named": functional_quantities, **fingerprint_of(observed)}
+    if functional_events := _functions_of(events, prepared.system):
+        fingerprints["events"] = {"named": functional_events, **fingerprint_of([event.g for event in events])}
     return {
         FUNCTIONS_ATTRIBUTE: json.dumps(fingerprints),
         OBSERVED_ATTRIBUTE: json.dumps({"names": list(observed), "stored": invariants_record(observed)}),
@@ -195,7 +209,7 @@ def function_attributes(prepared: PreparedRun) -> dict[str, str]:
 
 
 def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
-    """Whether `what`, the system or the observed quantities, contains functions and must be given to resume."""
+    """Whether `what`, the system, the observed quantities or the events, has functions and is required to resume."""
     return what in json.loads(attributes[FUNCTIONS_ATTRIBUTE])
 
 
@@ -229,6 +243,30 @@ def observed_again(archive: Solution, system: Any, observe: Mapping[str, Any] | 
         stored = invariants_of(parsed(json.dumps(observed["stored"]), OBSERVED_ATTRIBUTE), dim)
         observe = {name: stored[name] for name in observed["names"]}
     return dict(observe)
+
+
+def events_again(archive: Solution, system: Any, events: Any) -> tuple[Event, ...]:
+    """Return the events of a resumed run of a system; ArchiveError if they are missing, or differ."""
+    path, attributes = archive.path, archive.attributes
+    fingerprints, stored = json.loads(attributes[FUNCTIONS_ATTRIBUTE]), attributes.get(EVENTS_ATTRIBUTE)
+    given = read_events(events)
+    if events is not None:
+        if stored is None and given:
+            raise ArchiveError(f"{path}: the run has no events; omit events")
+        if event_record(given, names_of(given, coordinates_of(system)), system.dim)[0] != (stored or "{}"):
+            raise ArchiveError(
+                f"{path}: events is {short(events)}, but the run has {short(stored)}; omit or correct it"
+            )
+        _check_same(path, "events", [event.g for event in given], fingerprints, events)
+        return given
+    if "events" in fingerprints:
+        raise _missing_error(path, "events", fingerprints)
+    return () if stored is None else events_of(stored, EVENTS_ATTRIBUTE, system)
+
+
+def _functions_of(events: tuple[Event, ...], system: Any) -> list[str]:
+    """Return the names of the events that are functions, which are not stored."""
+    return event_record(events, names_of(events, coordinates_of(system)), system.dim)[1]
 
 
 def _check_same(path: Path | str, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:

@@ -79,6 +79,7 @@ class Configuration:
         asked = self.x0, run.span, run.save_every
         if run.workers is not None:
             pool = read_worker_pool(None, run.workers, run.threads)
+            stored["events"] = self.events or None
             solution = run_in_blocks(prepared, *asked, archive, pool, progress=progress, **stored)
         else:
             assert archive is not None
@@ -174,8 +175,8 @@ def load(path: str | Path) -> Configuration:
         prepared.times_of(run.span, run.save_every, run.t_eval)
     key = "run.workers" if run.workers is not None else "output.archive"
     with section(name, key):
-        if (run.workers is not None or file.output.archive is not None) and (run.t_eval is not None or events):
-            raise ValueError("saves every save_every-th step and has no events; omit it, or t_eval and events")
+        if (run.workers is not None or file.output.archive is not None) and run.t_eval is not None:
+            raise ValueError("saves every save_every-th step; omit it, or t_eval")
         if run.workers is not None:
             require_packages("workers", "distributed")
             if momenta_of(system, x0)[1]:

@@ -38,7 +38,7 @@ from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import open_regular
-from coadjoint.runs.events import RecordedEvents, TerminalEvent
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import NamedValues
@@ -96,15 +96,6 @@ class LoadedSolution(StoredSolution):
         return NamedValues({name: np.array([values[name] for values in invariants]) for name in self._names})
 
     @cached_property
-    def _ending(self) -> TerminalEvent | None:
-        if ENDED_ATTRIBUTE not in self.attributes:
-            return None
-        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
-        attitude = None if self.attitude is None else self.attitude[-1]
-        steps = int(self.attributes[ENDED_ATTRIBUTE])
-        return TerminalEvent(len(self.t), steps, float(self.t[-1]), self.x[-1], values, attitude)
-
-    @cached_property
     def stats(self) -> Statistics:
         attributes = self.attributes
         named = (TAKEN_ATTRIBUTE, ENDED_ATTRIBUTE, "steps")
@@ -115,6 +106,8 @@ class LoadedSolution(StoredSolution):
     @cached_property
     def events(self) -> RecordedEvents | None:
         if "event_time" not in self._arrays:
+            if "events" in self.attributes:
+                raise ValueError(f"{self.path}: was copied from an archive without its events; open the archive itself")
             return None
         events = events_of_dataset(self.dataset, self.system)
         t, x = self._read("event_time"), self._read("event_x")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.datasets.export import checked_attributes
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, checked_attributes
 from coadjoint.files.datasets.named_axes import in_order, stacked
 from coadjoint.files.datasets.variables import OBSERVED_NAMES, SIZES, formulas_of, joined_complex, state_of
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
@@ -22,7 +22,7 @@ from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.methods import registry
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.events import Event
+from coadjoint.runs.events import Event, TerminalEvent
 from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import Start, start_of
@@ -144,6 +144,15 @@ class StoredSolution(Solution):
     @cached_property
     def x0(self) -> NDArray[Any]:
         return self._read("x0")
+
+    @cached_property
+    def _ending(self) -> TerminalEvent | None:  # type: ignore[override]
+        if ENDED_ATTRIBUTE not in self.attributes:
+            return None
+        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
+        attitude = None if self.attitude is None else self.attitude[-1]
+        steps = int(self.attributes[ENDED_ATTRIBUTE])
+        return TerminalEvent(len(self.t), steps, float(self.t[-1]), self.x[-1], values, attitude)
 
     @cached_property
     def t_eval(self) -> Floats | None:

@@ -359,14 +359,14 @@ def not_stored(x: NDArray[Any], t: float) -> float:
 
 
 def events_of(attribute: Any, path: str, system: Any) -> tuple[Event, ...]:
-    """Parse the events of `event_record`, with `not_stored` for functions; ValueError if damaged."""
+    """Parse the events of `event_record`, with `not_stored` for functions or without system; ValueError if damaged."""
     return tuple(_event_of(name, table, system) for name, table in parsed(attribute, path).table().items())
 
 
 def _event_of(name: str, record: Entry, system: Any) -> Event:
     g = record.reject_unknown("g", "direction", "count", "terminal")["g"]
     with as_value_errors(record):
-        if g.value is None:
+        if g.value is None or system is None:
             return Event(**{**record.value, "g": not_stored}, name=name)
         if g.is_table:
             return Event(**{**record.value, "g": _form_of(g, system.dim)}, name=name)
