@@ -13,7 +13,6 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps, values_along
-from coadjoint.long_operations import progress_bar
 from coadjoint.runs.events import (
     Event,
     RecordedEvents,
@@ -41,8 +40,7 @@ Values = Callable[[NDArray[np.int64], Floats], Floats]
 Failures = dict[int, tuple[int, tuple[str, float, str]]]
 """Members that failed during the location of crossings: their step, and status, residual and reason of the failure."""
 
-# Steps of the first chunk, few because an event may end a run soon, and the most of a later one.
-FIRST_CHUNK = 256
+# Most steps of a chunk.
 MAX_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28
 """Memory of a chunk; only the part with events is written."""
@@ -116,30 +114,35 @@ class EventRun:
                 raise ValueError(f"an array of events is {array.dtype} of shape {array.shape}, not {own.shape}")
         return arrays
 
-    def advance(self, progress: bool = False) -> None:
-        """Take all steps, and close the run."""
-        run, chunk = self.run, min(FIRST_CHUNK, self._max_chunk)
-        steps, first = run.times.steps, 0
-        with progress_bar(steps, progress) as bar:
-            while True:
-                until = min(steps, first + chunk)
-                self._advance_chunk(until)
-                bar(until - first)
-                first = until
-                if until == steps or not (run.state["status"] == codes("Status")["DONE"]).any():
-                    break
-                chunk = min(4 * chunk, self._max_chunk)
+    @property
+    def number(self) -> int:
+        """Steps so far."""
+        return self.run.number
+
+    @property
+    def reach(self) -> int:
+        """Last step for which there is memory."""
+        return self.run.reach
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no member takes further steps."""
+        return self.run.is_over
+
+    def close(self) -> None:
+        """Discard what members have saved after their ends, and let the run have its events."""
+        run = self.run
         run.close(np.minimum(self.limits, run.state.number))
         run.events = self.found
         if run.failed_count:
             run.ending = None
         run.save_ending()
 
-    def advance_to(self, until: int) -> None:
+    def advance(self, until: int) -> None:
         """Take the steps up to number `until` in chunks; after an interrupt call `restore`."""
         while True:
-            self._advance_chunk(min(until, self.run.state.number + self._max_chunk))
-            if self.run.state.number == until or self.run.ending is not None:
+            self._advance_chunk(min(until, self.number + self._max_chunk))
+            if self.number == until or self.is_over:
                 break
 
     def commit(self) -> None:

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
-from coadjoint.long_operations import paced, progress_bar
 from coadjoint.runs.events import Event
 from coadjoint.runs.plan_and_state import State
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.run import first_point_not_finite
+from coadjoint.runs.run import first_point_not_finite, in_pieces
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""
-SEGMENT_SECONDS, FIRST_SEGMENT = 0.25, 64
-"""The clock is read about every 0.25 s, at first after 64 steps."""
+FIRST_PIECE = 64  # steps
 TAKING_INTERVAL, TAKING_RATIO = 10.0, 20
 """A piece is taken after 10 s, or after 20 times the duration of the last time."""
 NOT_OCCURRED = np.array([-1.0, np.nan])
@@ -116,7 +114,7 @@ class PiecewiseRun:
             if events is None:
                 self.run.advance(until=until)
             else:
-                events.advance_to(until)
+                events.advance(until)
         except BaseException:
             if events is None:
                 self.run.state = before
@@ -139,26 +137,22 @@ class PiecewiseRun:
         It reads the points in memory, `piece`, and the state, `stored`, released afterwards: when memory is full, every
         ten seconds or less often, before an interrupt, and at the end.
         """
-        segment, last = FIRST_SEGMENT, self.run.times.steps if until is None else until
+        last = self.run.times.steps if until is None else until
         taken, seconds, when = -1, 0.0, time.perf_counter()
-        with progress_bar(last - self.number, progress) as bar:
-            while not self.is_over and self.number < last:
-                first, began = self.number, time.perf_counter()
-                target = min(last, self.reach, first + segment)
-                try:
-                    self.advance(target)
-                except KeyboardInterrupt:
-                    if taken != self.number and not self.order_undefined:
+        if not self.is_over and self.number < last:
+            try:
+                for number in in_pieces(self, last, FIRST_PIECE, progress):
+                    now = time.perf_counter()
+                    if number == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
+                        taken = number
                         take(self)
-                    raise
-                bar(target - first)
-                now = time.perf_counter()
-                segment = paced(target - first, now - began, SEGMENT_SECONDS, 4 * segment)
-                if target == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
+                        self.release_points()
+                        when = time.perf_counter()
+                        seconds = when - now
+            except KeyboardInterrupt:
+                if taken != self.number and not self.order_undefined:
                     take(self)
-                    self.release_points()
-                    taken, when = self.number, time.perf_counter()
-                    seconds = when - now
+                raise
         if taken != self.number:
             take(self)
 

@@ -25,7 +25,7 @@ from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.plan_and_state import Plan, State, bytes_of_run
 from coadjoint.runs.results.quantities import Observed, check_observe, observed_quantities
 from coadjoint.runs.results.solution import Solution, set_elapsed
-from coadjoint.runs.run import Run
+from coadjoint.runs.run import Run, in_pieces
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import (
     Start,
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.derivatives.forward import Tangents
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
+FIRST_WITH_EVENTS = 256  # steps, few because an event may end a run soon
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
 
 
@@ -703,9 +704,13 @@ class PreparedRun(Immutable):
             if events:
                 from coadjoint.runs.crossings import EventRun
 
-                EventRun(run, self.watched(events, start.momenta[0], times.t0)).advance(progress)
+                located = EventRun(run, self.watched(events, start.momenta[0], times.t0))
+                for _ in in_pieces(located, times.steps, FIRST_WITH_EVENTS, progress, timed=progress):
+                    pass
+                located.close()
             else:
-                run.advance(progress)
+                for _ in in_pieces(run, times.steps, 1 if progress else times.steps, progress, timed=progress):
+                    pass
         except KeyboardInterrupt as stopped:
             run.describe_interrupt(stopped, observed)
             raise

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import MemberBatch, NamedArrays, limited_blas_threads
+from coadjoint.kernels.loop import NamedArrays, limited_blas_threads
 from coadjoint.long_operations import paced, progress_bar
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.loops import Loops
@@ -27,8 +27,8 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 
-SECONDS_BETWEEN_UPDATES = 0.2
-"""Target time between updates of a progress bar, which happen between calls of the compiled loop."""
+PIECE_SECONDS = 0.25
+"""Target time of a piece of a run that shows its progress, or is stored."""
 GROWTH = 2.0
 """Growth of a state from which on a failure may be that of the motion, which grows without bound in finite time."""
 # Of a point at which the state is finite.
@@ -117,7 +117,22 @@ class Run:
             point = self.ending.points - 1, 0
             self.saved["x"][point], self.saved["values"][point] = self.ending.x, self.ending.values
 
-    def advance(self, progress: bool = False, until: int | None = None) -> None:
+    @property
+    def number(self) -> int:
+        """Steps so far."""
+        return self.state.number
+
+    @property
+    def reach(self) -> int:
+        """Last step for which there is memory."""
+        return self.times.reach
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no member takes further steps."""
+        return self.number == self.times.steps or not (self.state["status"] == codes("Status")["DONE"]).any()
+
+    def advance(self, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
         plan, state = self.plan, self.state
         loops, order = plan.loops, plan.loops.order
@@ -125,20 +140,19 @@ class Run:
         start_time = time.perf_counter()
         if order is not None:
             state.arrays = state.arrays.take(order, 0)
+        arrays = plan.layout, plan.schedule, self.saved, state.arrays, first, last
+        limited = limited_blas_threads(loops.rows, plan.workers) if loops.rows else nullcontext()
         try:
-            if loops.rows:
-                with limited_blas_threads(loops.rows, plan.workers):
-                    self._advance(first, last, progress)
-            else:
-                self._advance(first, last, progress)
-        finally:  # the solution so far of an interrupted run has its time
+            with limited:
+                for member_batches in plan.rounds:
+                    self.failed_count += run_in_threads(member_batches, arrays, loops.raised, plan.workers)
+        finally:  # the solution so far of an interrupted run has its time, and its members in order
             self.seconds += time.perf_counter() - start_time
+            if order is not None:
+                state.arrays = state.arrays.take(np.argsort(order), 0)
+        if order is not None and last == plan.times.steps:
+            self.saved = self.saved.take(np.argsort(order), 1)
         state.number = last
-        if order is not None:
-            inverse = np.argsort(order)
-            state.arrays = state.arrays.take(inverse, 0)
-            if last == plan.times.steps:
-                self.saved = self.saved.take(inverse, 1)
         if loops.matrices is not None:
             numbers = plan.times.saved
             self._measure(np.flatnonzero((numbers <= last) & ((numbers > first) | (first == 0))))
@@ -156,39 +170,6 @@ class Run:
             tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
             with np.errstate(invalid="ignore"):  # members may be about to overflow
                 worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(values - at_start))
-
-    def _advance(self, first: int, last: int, progress: bool) -> None:
-        plan = self.plan
-        arrays = plan.layout, plan.schedule, self.saved, self.state.arrays
-        if not progress:
-            for member_batches in plan.rounds:
-                self.failed_count += run_in_threads(
-                    member_batches, (*arrays, first, last), self.loops.raised, plan.workers
-                )
-        else:
-            with progress_bar((last - first) * len(plan.rounds), progress) as bar:
-                for member_batches in plan.rounds:
-                    self.failed_count += self._advance_in_chunks(member_batches, arrays, first, last, bar)
-
-    def _advance_in_chunks(
-        self,
-        member_batches: list[MemberBatch],
-        arrays: tuple[Any, ...],
-        done: int,
-        last: int,
-        bar: Callable[[int], Any],
-    ) -> int:
-        """Take the steps done + 1 to last of member batches in chunks between updates of the progress bar."""
-        chunk = 1
-        while True:
-            target = min(last, done + chunk)
-            before = time.perf_counter()
-            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops.raised, self.plan.workers)
-            chunk = paced(target - done, time.perf_counter() - before, SECONDS_BETWEEN_UPDATES, 1000 * chunk)
-            bar(target - done)
-            done = target
-            if done == last or failed_count == sum(member_batch.count for member_batch in member_batches):
-                return failed_count
 
     def solution(self, observed: Observed | None) -> Solution:
         saved_points = self.saved.offsets.shapes["x"][0] if self.ending is None else self.ending.points
@@ -208,8 +189,7 @@ class Run:
         """Return the points saved before an interrupt; members that had not reached a point are NaN there."""
         order, numbers = self.loops.order, self.times.saved
         if order is not None and self.state.number < self.times.steps:
-            inverse = np.argsort(order)
-            self.saved, self.state.arrays = self.saved.take(inverse, 1), self.state.arrays.take(inverse, 0)
+            self.saved = self.saved.take(np.argsort(order), 1)
         x = self.saved["x"]
         # The arrays of a member are zero until its loop has filled them, and then sets the residual to NaN.
         waiting = (self.state["residual"] == 0.0) & (self.state["status"] == 0)
@@ -323,6 +303,36 @@ def first_point_not_finite(series: Any) -> int | None:
     values = np.asarray(series)
     finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return None if finite.all() else int(np.argmin(finite))
+
+
+class Advancing(Protocol):
+    """A run that takes its steps in pieces: `Run`, `EventRun` or `PiecewiseRun`."""
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def reach(self) -> int: ...
+    @property
+    def is_over(self) -> bool: ...
+    def advance(self, until: int) -> None: ...
+
+
+def in_pieces(run: Advancing, until: int, first: int, progress: bool = False, timed: bool = True) -> Iterator[int]:
+    """Take the steps up to number `until`, and yield their number after each piece, which the caller uses.
+
+    A piece is of `first` steps, and a later one at most four times as long; if `timed`, it takes `PIECE_SECONDS`.
+    """
+    size = first
+    with progress_bar(until - run.number, progress) as bar:
+        while True:
+            before, began = run.number, time.perf_counter()
+            run.advance(min(until, run.reach, before + size))
+            taken, seconds = run.number - before, time.perf_counter() - began
+            size = paced(taken, seconds, PIECE_SECONDS, 4 * size) if timed else 4 * size
+            bar(taken)
+            yield run.number
+            if run.is_over or run.number >= until:
+                break
 
 
 @contextmanager
