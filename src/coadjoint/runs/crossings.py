@@ -155,6 +155,7 @@ class EventRun:
         """Return to the end of the last chunk."""
         state, arrays, pieces, self._counts, self._failed = self._position
         self._restore(state, arrays)
+        self.run.ending = None
         del self._pieces[pieces:]
 
     def repack_members(self, packed: int | None = None) -> None:

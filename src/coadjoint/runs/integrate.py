@@ -102,7 +102,7 @@ def integrate(
     archive : str or Path, optional
         A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. The memory
         does not grow with the length of the run. The folder can be read at any time, and `resume` continues the run
-        after any interruption. The solution reads from the folder lazily.
+        after any interruption. The solution reads from the folder lazily. It has no `t_eval`.
 
     Returns
     -------

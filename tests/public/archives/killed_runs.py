@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray
@@ -24,11 +25,12 @@ KILLS, LONGEST = 4, 0.6
 """Kills per run, and the longest time (s) before one."""
 TOP = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0]))
 X = np.array([1.0, -0.5, 1.5, 0.625, 0.25, 0.75])
-RUNS = (
-    (TOP, X, co.GaussLegendre(2), "coadjoint"),
-    (TOP, np.multiply.outer(1.0 - 0.05 * np.arange(5), X), co.Splitting(order=4), False),
-    (co.systems.rigid_body(inertia=(1, 2, 3)), X[:3], co.Taylor(10, tolerance=1e-9), True),
-)
+RUNS: tuple[tuple[Any, Any, co.Method, Any, Any], ...] = (
+    (TOP, X, co.GaussLegendre(2), "coadjoint", None),
+    (TOP, np.multiply.outer(1.0 - 0.05 * np.arange(5), X), co.Splitting(order=4), False,
+     [co.Event(0, terminal=True, count=105), co.Event(4, direction=1)]),
+    (co.systems.rigid_body(inertia=(1, 2, 3)), X[:3], co.Taylor(10, tolerance=1e-9), True, co.Event(2)),
+)  # fmt: skip
 
 
 def fork_worker(work: Callable[[], object]) -> int:
@@ -49,21 +51,22 @@ def check_archive_prefix(path: Path, expected: co.Solution) -> int:
     with xarray.open_zarr(path, chunks=None) as found:
         count = found.sizes["time"]
         for name, values in (("time", expected.t), ("x", expected.x), ("energy", expected.energy)):
-            assert np.array_equal(found[name].values, values[:count]), f"{name} of {path}"
+            assert np.array_equal(found[name].values, values[:count], equal_nan=True), f"{name} of {path}"
         return count
 
 
 def killed(seed: int, folder: Path) -> int:
     """Kill a run several times and compare its final result; return the number of kills that interrupted it."""
     rng = np.random.default_rng(seed)
-    system, x0, method, attitude = RUNS[seed % len(RUNS)]
+    system, x0, method, attitude, events = RUNS[seed % len(RUNS)]
     end, path, hits = STEPS * STEP, folder / f"run{seed}.zarr", 0
-    expected = co.integrate(system, x0, (0.0, end), STEP, method, attitude=attitude)
+    expected = co.integrate(system, x0, (0.0, end), STEP, method, attitude=attitude, events=events)
 
     def work() -> object:
         """Write the archive of a short run, whose chunks are small, and resume it to the end of a long one."""
         if not path.exists():
-            co.integrate(system, x0, (0.0, 2 * STEP), STEP, method, attitude=attitude, archive=path)
+            short = (0.0, 2 * STEP)
+            co.integrate(system, x0, short, STEP, method, attitude=attitude, events=events, archive=path)
         return co.resume(path, end)
 
     for _ in range(KILLS):
@@ -76,7 +79,9 @@ def killed(seed: int, folder: Path) -> int:
     work()
     found = co.resume(path)
     assert check_archive_prefix(path, expected) == len(expected.t)
-    assert found.finished and np.array_equal(found.x, expected.x)
+    assert found.finished and np.array_equal(found.x, expected.x, equal_nan=True)
+    for name in ("t", "x", "which", "member") if events else ():
+        assert np.array_equal(getattr(found.events, name), getattr(expected.events, name)), name
     assert not attitude or np.array_equal(found.attitude, expected.attitude)
     assert all(np.array_equal(own.tenths, expected.drift()[name].tenths) for name, own in found.drift().items())
     assert os.listdir(path.parent) == [path.name]

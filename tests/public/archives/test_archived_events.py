@@ -129,6 +129,15 @@ def test_functions_are_given_again(tmp_path, name):
     assert co.open_archive(path).events.asked[-1].terminal == (name == "one")
 
 
+@pytest.mark.parametrize("g", ["sin(2 * x2) - 0.25", "x1^2 - 0.01", "x1 / (2 + x3)"])
+def test_formulas_are_stored(tmp_path, g):
+    event, path = co.Event(co.formula(g, dim=3), name="g"), tmp_path / "run.zarr"
+    expected = co.integrate(BODY, X, SPAN, STEP, events=event)
+    assert len(expected.events)
+    co.integrate(BODY, X, (0.0, 2 * STEP), STEP, events=event, archive=path)
+    check_same(co.resume(path, SPAN[1]), expected, work=False)
+
+
 def test_functions_of_events_on_processes(tmp_path):
     events, path = [co.Event(level(0.5), name="level"), ENDING], tmp_path / "many.zarr"
     run = {"system": BODY, "x0": MANY, "t_span": SPAN, "step": STEP, "events": events}
