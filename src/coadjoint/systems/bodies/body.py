@@ -309,7 +309,7 @@ def _read_held(held: Any, others: Sequence[str]) -> tuple[str, ...]:
     if not np.ndim(held):
         return _numbered(read_integer(held, "held", 0, MAX_HELD))
     names = tuple(map(str, held))
-    if any(not re.fullmatch(r"[A-Za-z_]+[0-9]+", name) for name in names) or len(names) > MAX_HELD:
+    if not 0 < len(names) <= MAX_HELD or any(not re.fullmatch(r"[A-Za-z_]+[0-9]+", name) for name in names):
         raise ValueError(
             f"held is {short(held)}; give a count of at most {MAX_HELD}, or names, each with a number: integral1"
         )

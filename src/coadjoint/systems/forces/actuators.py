@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -74,16 +74,7 @@ class ReactionWheels(Sampled):
     _limits = dict.fromkeys(("max_torque", "max_momentum"), partial(read_limits, shape=()))
 
     def _count(self, system: Any) -> int:
-        count = len(system.wheels)
-        if not count:
-            raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
-        for name in ("max_torque", "max_momentum"):
-            if np.shape(getattr(self, name)) not in ((), (count,)):
-                raise ValueError(
-                    f"{name} of {self.label} has the shape {np.shape(getattr(self, name))}; {system.name} has {count} "
-                    "wheels"
-                )
-        return count
+        return count_wheels(self, system, ("max_torque", "max_momentum"))
 
     def _command(self, system: Any) -> Callable[..., Any]:
         wheels, count = system.wheels, self._count(system)
@@ -109,6 +100,18 @@ class ReactionWheels(Sampled):
                 y[start + i] += up + down
 
         return act
+
+
+def count_wheels(force: Any, system: Any, names: Sequence[str]) -> int:
+    """Return the number of wheels of a body; raise an error without any, or for other numbers of these parameters."""
+    count = len(getattr(system, "wheels", ()))
+    if not count:
+        raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
+    for name in names:
+        shape = np.shape(getattr(force, name))
+        if shape not in ((), (count,)):
+            raise ValueError(f"{name} of {force.label} has the shape {shape}; {system.name} has {count} wheels")
+    return count
 
 
 def _shares(axes: NDArray[np.float64]) -> NDArray[np.float64]:

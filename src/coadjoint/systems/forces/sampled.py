@@ -22,6 +22,7 @@ from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import read_integer, read_positive
 
 DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square
+MAX_DELAY, MAX_MEMORY = 1000, 4096  # periods, and numbers: far above those of controllers, and small in memory
 ON_GRID = 1e-9  # part of a step by which a time may miss a whole number of steps, by rounding
 
 
@@ -112,8 +113,8 @@ class Sampled(Force):
                 f"law of {self.label} is {short(self.law)}; give a torque of co.forces, such as Pointing(...) or "
                 "Torque(function)"
             )
-        count = partial(read_integer, minimum=0)
-        self._read(period=read_positive, memory=_read_memory, delay=count, resolution=_read_resolution, first=count)
+        self._read(period=read_positive, memory=_read_memory, resolution=partial(read_limits, shape=()))
+        self._read(delay=partial(read_integer, minimum=0, maximum=MAX_DELAY), first=partial(read_integer, minimum=0))
         self._read(**self._limits)
         if self.law.has_memory != bool(self.memory):
             given = "is given, and the law does not take it" if self.memory else "is not given, and the law takes one"
@@ -360,12 +361,9 @@ def _read_memory(value: Any, what: str) -> tuple[tuple[str, int], ...]:
     unnamed = [name for name in pairs if not re.fullmatch("[A-Za-z_]+", str(name)) or name == "held"]
     if unnamed:
         raise ValueError(f"{what} has the name {short(unnamed[0])}; {rule}, of other names than held")
-    return tuple((str(name), read_integer(size, f"{what}, the size of {name},")) for name, size in pairs.items())
-
-
-def _read_resolution(value: Any, what: str) -> Any:
-    """Validate units of commands, one or one for each; None is no rounding."""
-    return read_limits(value, what, ())
+    return tuple(
+        (str(name), read_integer(size, f"{what}, the size of {name},", 1, MAX_MEMORY)) for name, size in pairs.items()
+    )
 
 
 def _begin(force: Sampled, system: Any) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.inertia import moments_of_wheels
+from coadjoint.systems.forces.actuators import count_wheels
 from coadjoint.systems.forces.angular_velocity import velocity_of
 from coadjoint.systems.forces.body_torque import check_one_body, read_limits
 from coadjoint.systems.forces.torque import StateTorque
@@ -70,15 +71,7 @@ class WheelFriction(StateTorque):
 
     def check(self, system: Any) -> None:
         check_one_body(system, self.label)
-        count = len(getattr(system, "wheels", ()))
-        if not count:
-            raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
-        for name in ("viscous", "coulomb", "transition_speed"):
-            if np.shape(getattr(self, name)) not in ((), (count,)):
-                raise ValueError(
-                    f"{name} of {self.label} has the shape {np.shape(getattr(self, name))}; {system.name} has {count} "
-                    "wheels"
-                )
+        count_wheels(self, system, ("viscous", "coulomb", "transition_speed"))
 
     def on_state(self, system: Any) -> tuple[Callable[..., Any], str]:
         return _on_state(self, system)
