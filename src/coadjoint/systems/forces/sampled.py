@@ -336,7 +336,8 @@ def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
             for i in range(waiting):
                 y[begin + i] = x[begin + count + i]
             for i in range(count):
-                y[last + i] = unit[i] * np.rint(values[i] / unit[i]) if rounded else values[i]
+                # Unlike rint, floor does not depend on the rounding mode.
+                y[last + i] = unit[i] * np.floor(values[i] / unit[i] + 0.5) if rounded else values[i]
             for i in range(remembered):
                 y[last + count + i] = found[3 + i]
 
