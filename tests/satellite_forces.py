@@ -90,6 +90,26 @@ def thin_air(t, omega, A):
     return total
 
 
+def pid(t, omega, A, memory):
+    error = 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    integral, rate = memory[:3] + PERIOD * error, memory[3:] + 0.4 * (omega - memory[3:])
+    return -0.4 * error - 0.9 * rate - 0.2 * integral, np.concatenate((integral, rate))
+
+
+def b_dot(t, omega, A):
+    b = A.T @ dipole_field(t, path(t))
+    return np.cross(-2.0 * np.cross(b, omega), b)
+
+
+def change_of_field(t, omega, A, memory):
+    b = A.T @ dipole_field(t, path(t))
+    return (-1.5 * (b - memory) / PERIOD if memory.any() else np.zeros(3)), b
+
+
+def bearings(speeds):
+    return -0.02 * speeds - np.array([0.03, 0.02, 0.01, 0.04]) * speeds / np.sqrt(speeds**2 + 0.25)
+
+
 def toward(kind, wanted=lambda t: WANTED.as_matrix(), rate=(0.0, 0.0, 0.0), limit=np.inf):
     def torque(t, omega, A):
         q = Rotation.from_matrix(wanted(t).T @ A).as_quat()
@@ -113,6 +133,13 @@ class Case(NamedTuple):
     """Whether it has no functions."""
     of_momentum: bool = False
     """Whether the reference torque also takes the momentum in the body frame."""
+    memory: int = 0
+    """Size of the memory that the reference torque also takes, and returns."""
+    delay: int = 0
+    field: Callable[..., Any] | None = None
+    """The field in which the commands are moments, as a function of the time."""
+    friction: Callable[..., Any] | None = None
+    """Torques on the wheels, as a function of their speeds."""
 
     @property
     def free(self):
@@ -173,6 +200,36 @@ CASES = {
         {"gyros": PYRAMID},
         "gyros",
     ),
+    "BDot": Case(F.BDot(2.0, dipole_field, path), b_dot, stored=False),
+    "Magnetorquers": Case(
+        F.Magnetorquers(LAW, PERIOD, B=(0.3, 0.4, -0.1)),
+        toward("sine"),
+        actuator="moment",
+        field=lambda t: np.array([0.3, 0.4, -0.1]),
+    ),
+    "Magnetorquers by the change of the field": Case(
+        F.Magnetorquers(F.BDot(1.5), PERIOD, B=dipole_field, position=path, delay=1),
+        change_of_field,
+        actuator="moment",
+        stored=False,
+        memory=3,
+        delay=1,
+        field=lambda t: dipole_field(t, path(t)),
+    ),
+    "WheelFriction": Case(
+        F.WheelFriction(0.02, (0.03, 0.02, 0.01, 0.04), 0.5),
+        lambda t, omega, A: np.zeros(3),
+        {"wheels": WHEELS},
+        friction=bearings,
+    ),
+    "Sampled with a memory and a delay": Case(
+        F.Sampled(F.Torque(pid), PERIOD, memory={"integral": 3, "rate": 3}, delay=2),
+        pid,
+        actuator="torque",
+        stored=False,
+        memory=6,
+        delay=2,
+    ),
     "Thrusters": Case(F.Thrusters(LAW, PERIOD, (0.5, 0.4, 0.3), 0.01), toward("sine"), actuator="thrusters"),
 }
 
@@ -199,7 +256,13 @@ def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, n
     free, start = case.free, case.free.state(TURNED, SPIN, **case.rotors)
     wheeled, geared = "wheels" in case.body, "gyros" in case.body
     sizes = [len(WHEELS) if wheeled else 0, len(PYRAMID) if geared else 0]
-    still = {"torque": np.zeros(3), "wheels": np.zeros(sizes[0]), "gyros": np.zeros(sizes[1]), "thrusters": np.zeros(3)}
+    still = {
+        "torque": np.zeros(3),
+        "moment": np.zeros(3),
+        "wheels": np.zeros(sizes[0]),
+        "gyros": np.zeros(sizes[1]),
+        "thrusters": np.zeros(3),
+    }
     y = np.r_[TURNED.as_quat(), SPIN, free.wheel_speeds(start), free.gimbal_angles(start)]
 
     def parts(y):
@@ -213,16 +276,18 @@ def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, n
         q, omega, speeds, angles = parts(y)
         A = Rotation.from_quat(q).as_matrix()
         L, inertia, N = TENSOR @ omega, TENSOR, u["torque"] + u["thrusters"]
+        N = N + sum(np.cross(u["moment"], A.T @ one.field(t)) for one in cases if one.field)
+        motors = u["wheels"] + sum(one.friction(speeds) for one in cases if one.friction)
         if wheeled:
             # The motors act on the wheels, and the body without their moments about the axes has the opposite torque.
-            L, inertia, N = L + (moments * speeds) @ unit, TENSOR - (unit.T * moments) @ unit, N - u["wheels"] @ unit
+            L, inertia, N = L + (moments * speeds) @ unit, TENSOR - (unit.T * moments) @ unit, N - motors @ unit
         if geared:
             h, dh = momenta(angles)
             L, N = L + h.sum(axis=0), N - u["gyros"] @ dh
         for one in cases:
             N = N if one.actuator else N + one.torque(t, omega, A, *([L] if one.of_momentum else []))
         turning = np.linalg.solve(inertia, np.cross(L, omega) + N)
-        driven = u["wheels"] / moments - unit @ turning if wheeled else speeds
+        driven = motors / moments - unit @ turning if wheeled else speeds
         return np.r_[slope_of_attitude(q, omega), turning, driven, u["gyros"]]
 
     def follow(y, t, to, u):
@@ -233,11 +298,20 @@ def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, n
 
     if not acting:
         y = follow(y, begin, end, still)
+    memories = {actuator: np.zeros(one.memory) for actuator, one in acting.items()}
+    waiting = {actuator: [still[actuator]] * one.delay for actuator, one in acting.items()}
     for t in np.arange(begin, end - 1e-9, PERIOD) if acting else ():
         q, omega, _, angles = parts(y)
-        u, pulses = dict(still), np.zeros(3)
+        A, u, pulses = Rotation.from_quat(q).as_matrix(), dict(still), np.zeros(3)
         for actuator, one in acting.items():
-            u[actuator] = torque = one.torque(t, omega, Rotation.from_quat(q).as_matrix())
+            if one.memory:
+                torque, memories[actuator] = one.torque(t, omega, A, memories[actuator])
+            else:
+                torque = one.torque(t, omega, A)
+            u[actuator] = torque
+            if actuator == "moment" and not one.memory:
+                b = A.T @ one.field(t)
+                u[actuator] = np.cross(b, torque) / (b @ b)
             if actuator == "wheels":
                 u[actuator] = -np.linalg.pinv(unit.T) @ torque
             elif actuator == "gyros":
@@ -249,6 +323,8 @@ def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, n
                 pulses = np.minimum(np.abs(torque) / full, 1.0) * PERIOD
                 pulses[pulses * full < 0.01] = 0.0
                 u[actuator] = np.sign(torque) * full
+            waiting[actuator].append(u[actuator])
+            u[actuator] = waiting[actuator].pop(0)
         since = 0.0
         for edge in sorted({*pulses, PERIOD} - {0.0}):
             on = u | {"thrusters": np.where(since < pulses, u["thrusters"], 0.0)}

@@ -239,7 +239,12 @@ HOLDING = {
     "period": positive(),
     "first": whole(0, usual=0, tried=0),
     "max_torque": LIMITS,
+    "memory": Domain((None, {}), ({"integral": 3}, {"integral": 0}, {"i1": 1}, {"held": 1}, 3, "integral", math.nan)),
+    "delay": whole(0, 1000, usual=0, tried=2),
+    "resolution": Domain((None, 0.25, 0.125), (0, -0.25, 0.3, math.nan, math.inf, "1", 1j, np.eye(3), (1.0, 2.0))),
 }
+PLACE = Domain((None,), ((1.0, 2.0), math.nan, "1", flow))
+FRICTION = vector((0.5, 0.25, 1.0), not_negative(), 0.5, number=True).plus(outside=(np.eye(3), (1.0, 2.0), None))
 ON_BODIES = {
     "GravityGradient": {
         "mu": real(),
@@ -249,7 +254,17 @@ ON_BODIES = {
     "MagneticDipole": {
         "moment": vector((0.5, -1.0, 0.25), real()),
         "B": IN_SPACE,
-        "position": Domain((None,), ((1.0, 2.0), math.nan, "1", flow)),
+        "position": PLACE,
+    },
+    "BDot": {"gain": real(), "B": IN_SPACE, "position": PLACE, "max_moment": LIMITS},
+    "Magnetorquers": HOLDING
+    | {"B": IN_SPACE, "position": PLACE, "max_moment": LIMITS, "commands": choice("torque", "moment")},
+    "WheelFriction": {
+        "viscous": FRICTION,
+        "coulomb": FRICTION,
+        "transition_speed": vector((0.5, 0.25, 1.0), positive(), 0.5, number=True).plus(
+            outside=(np.eye(3), (1.0, 2.0), None)
+        ),
     },
     "SolarPressure": {"pressure": real(), "sun": IN_SPACE, **PLATES, "specular": SHARES, "diffuse": SHARES},
     "Drag": {"density": real(), "velocity": IN_SPACE, **PLATES, "coefficient": real()},

@@ -129,7 +129,9 @@ OWN = {
             ([(1, 0, 0), (0, 1, 0)], [[(1, 0, 0), (0, 2, 0)]], [[(1, 0, 0), (1, 0, 0)]], [[(0, 0, 0)] * 2], 1.0),
             keep=((), []),
         ),
-        "held": whole(0, 4096, usual=0, tried=2),
+        "held": whole(0, 4096, usual=0, tried=2).plus(
+            ("held1", "integral1"), outside=(("held",), ("a1", "a1"), ("L1",), ("a 1",))
+        ),
     },
     "clebsch_body": {
         "inertia": vector((1.0, 1.0, 1.0), positive(), (3, 3, 3), (0.001,) * 3),

@@ -80,7 +80,7 @@ def cause_in_step(system: Any, method: Any, x: NDArray[Any], t: float, h: float)
     if not system.forces:
         return _of_energy(plain, y, t, h) or _of_step(method, plain, y, t, h)
     for label, force in zip(system.labels, system.forces, strict=True):
-        failure = _attempt(force.law.field, plain, y, t)[1] if force.sampled else ""
+        failure = _attempt(force.demand, plain, y, t)[1] if force.sampled else ""
         if failure:
             return f"the law of {label} {failure} at t = {t:g}", CORRECT
     scheme = method if isinstance(method, Forced) else Forced(method)

@@ -127,7 +127,8 @@ def ready_made(
             if system.name != builder.__name__:
                 raise TypeError(f"{builder.__name__} returns a system named {system.name!r}; give it its own name")
             if coordinates:
-                set_fields(system, _layout=system.layout | {"coordinates": dict(coordinates)})
+                own = system.layout.get("coordinates", {})
+                set_fields(system, _layout=system.layout | {"coordinates": {**coordinates, **own}})
             return system
 
         wrapped = suggest_keywords(hamiltonian)

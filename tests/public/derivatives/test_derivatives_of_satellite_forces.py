@@ -21,5 +21,9 @@ def test_derivatives_by_parameters_of_forces(name):
         "SolarPressure": {"pressure", "sun", "areas", "centres", "specular", "diffuse"},
         "Drag": {"density", "areas", "centres", "coefficient"},
         "Pointing": {"stiffness", "damping"},
+        "BDot": {"gain"},
+        "Magnetorquers": {"law.stiffness", "law.damping", "B"} if case.stored else {"law.gain"},
+        "WheelFriction": {"viscous", "coulomb", "transition_speed"},
+        "Sampled": {"law.stiffness", "law.damping"} if case.stored else set(),
     }.get(label, {"law.stiffness", "law.damping"})
     assert {"x0", "inertia", *(f"{label}.{one}" for one in wanted), *({"wheels"} & set(case.body))} <= set(gradient)

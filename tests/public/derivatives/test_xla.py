@@ -431,6 +431,13 @@ WHEELED = co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3))
 LAW = co.forces.Pointing(0.5, 1.5, error="quaternion")
 forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
 RATES = ((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2))
+
+
+def filtered(omega, memory):
+    rate = memory + 0.4 * (omega - memory)
+    return -0.5 * rate, rate
+
+
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
     "energy of the time": (IN_TIME, [forces.DoubleBracketDamping(0.9)]),
@@ -438,6 +445,8 @@ FORCED = {
     "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping(RATES, (1.0, 0.0, -0.5))]),
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
+    "memory": (None, [forces.Sampled(forces.Torque(filtered), period=0.2, memory={"rate": 3}, delay=1)]),
+    "coils": (None, [forces.Magnetorquers(forces.BDot(0.8), period=0.2, B=around, max_moment=0.3)]),
     "full damping": (BODY, [forces.LinearDamping(RATES), forces.LinearDamping(0.2, (0.3, 0.0, -0.5))]),
     "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),
     "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),

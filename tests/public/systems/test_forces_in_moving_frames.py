@@ -62,6 +62,10 @@ CASES = {
         F.MagneticDipole((0.1, 0.2, -0.1), B),
         lambda w, A, t, rate: np.cross([0.1, 0.2, -0.1], A.T @ B),
     ),
+    "BDot": (
+        F.BDot(0.8, B),
+        lambda w, A, t, rate: np.cross(-0.8 * np.cross(A.T @ B, w - A.T @ rate), A.T @ B),
+    ),
     "SolarPressure": (F.SolarPressure(0.05, SUN, **PLATE), sunlight),
     "Drag": (F.Drag(0.05, AIR, **PLATE), thin_air),
     "Torque": (
@@ -117,6 +121,8 @@ def test_every_force_is_a_case_or_refused(e):
                 orbit.with_forces(getattr(F, name)(F.Pointing(0.1, 0.2), 0.5))
             elif name == "Thrusters":
                 orbit.with_forces(F.Thrusters(F.Pointing(0.1, 0.2), 0.5, 1.0))
+            elif name == "Magnetorquers":
+                orbit.with_forces(F.Magnetorquers(F.Pointing(0.1, 0.2), 0.5, B=B))
             else:
                 orbit.with_forces(eval(force_text(name, orbit), space))
     with refused(ValueError, "GravityGradient", "satellite_on_orbit", "already"):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from coadjoint.algebra.families.classical import so
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.inertia import (
     energy_with_rotors,
@@ -24,6 +26,7 @@ from coadjoint.systems.bodies.inertia import (
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_motion
+from coadjoint.systems.coordinates import numberless
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -151,9 +154,10 @@ MAX_HELD = 4096
 
 
 def _energy(
-    inertia: npt.NDArray[Any], wheels: npt.NDArray[Any], *, gyros: npt.ArrayLike, attitude: bool, held: int
+    inertia: npt.NDArray[Any], wheels: npt.NDArray[Any], *, gyros: npt.ArrayLike, attitude: bool, held: Any
 ) -> tuple[npt.NDArray[Any]]:
     """Return the matrix of the energy; its first three coordinates are the momentum."""
+    held = len(held) if np.ndim(held) else held
     first, momenta = PER_BODY if attitude else 3, np.asarray(gyros, dtype=np.float64).reshape(-1, 2, 3)
     if len(wheels) + len(momenta) == 0:
         return (_in_state(inverse_of_moving(inertia), first + held),)
@@ -207,7 +211,7 @@ def body(
     attitude: bool = True,
     wheels: npt.ArrayLike = (),
     gyros: npt.ArrayLike = (),
-    held: int = 0,
+    held: int | Sequence[str] = 0,
 ) -> BodySystem:
     """Return a rigid body with its attitude in the state: a satellite, a gyroscope, a rod.
 
@@ -235,8 +239,8 @@ def body(
     gyros : (g, 2, 3)
         Control-moment gyros with a single gimbal: of each the momentum of its rotor at the gimbal angles 0 and 90
         degrees, orthogonal vectors of equal length. Their motors are `co.forces.ControlMomentGyros`.
-    held : int
-        Count of numbers at the end of the state that sampled forces hold; ``with_forces`` sets it.
+    held : int or sequence of str
+        Count, or names, of numbers at the end of the state that sampled forces hold; ``with_forces`` sets it.
 
     Returns
     -------
@@ -273,14 +277,15 @@ def body(
         raise ValueError("inertia is zero: a point does not rotate; use co.systems.bodies for points with positions")
     turning, steering = read_rotors(wheels, gyros, found)
     attitude = read_bool(attitude, "attitude")
-    held = read_integer(held, "held", 0, MAX_HELD)
-    parameters = {"inertia": found.given, "attitude": attitude}
-    parameters |= {"wheels": as_tuples(turning), "gyros": as_tuples(steering), "held": held}
     carried = names_of_rotors(turning, steering)
-    names = (*carried, *(f"held{i + 1}" for i in range(held)))
-    algebra = with_carried(attitude_algebra() if attitude else rotations(3), names)
+    algebra = with_carried(attitude_algebra() if attitude else rotations(3), carried)
+    held_names = _read_held(held, algebra.basis)
+    count = len(held_names)
+    algebra = with_carried(attitude_algebra() if attitude else rotations(3), (*carried, *held_names))
+    parameters = {"inertia": found.given, "attitude": attitude, "wheels": as_tuples(turning)}
+    parameters |= {"gyros": as_tuples(steering), "held": count if held_names == _numbered(count) else held_names}
     if carried:
-        (M,) = _energy(found.tensor, turning, gyros=steering, attitude=attitude, held=held)
+        (M,) = _energy(found.tensor, turning, gyros=steering, attitude=attitude, held=count)
     else:
         M = _in_state(found.inverse, algebra.dim)
     return BodySystem(
@@ -293,10 +298,31 @@ def body(
         exact=None if carried else _closed_form(found.inverse, algebra.dim, attitude),
         wheels=turning,
         gyros=steering,
-        held=held,
+        held=count,
+        layout={"coordinates": dict.fromkeys(map(numberless, held_names), "memory")} if count else None,
         sign=-1,
         name="body",
     )
+
+
+def _numbered(count: int) -> tuple[str, ...]:
+    """Return the names of commands that forces hold."""
+    return tuple(f"held{i + 1}" for i in range(count))
+
+
+def _read_held(held: Any, others: Sequence[str]) -> tuple[str, ...]:
+    """Validate a count of numbers that forces hold, or their names, and return the names."""
+    if not np.ndim(held):
+        return _numbered(read_integer(held, "held", 0, MAX_HELD))
+    names = tuple(map(str, held))
+    if not 0 < len(names) <= MAX_HELD or any(not re.fullmatch(r"[A-Za-z_]+[0-9]+", name) for name in names):
+        raise ValueError(
+            f"held is {short(held)}; give a count of at most {MAX_HELD}, or names, each with a number: integral1"
+        )
+    taken = [name for k, name in enumerate(names) if name in (*others, *names[:k])]
+    if taken:
+        raise ValueError(f"held has the name {taken[0]}, which is that of another coordinate; give other names")
+    return names
 
 
 def _closed_form(M: Floats, dim: int, in_state: bool) -> Callable[..., Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -19,6 +20,7 @@ from coadjoint.systems.bodies.inertia import (
     moments_of_wheels,
     without_wheels,
 )
+from coadjoint.systems.coordinates import numberless
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
@@ -249,17 +251,22 @@ class BodySystem(Bodies):
         """Index of the first number of the rotors in the state; those that forces hold follow."""
         return PER_BODY if self.has_attitude else 3
 
-    def with_held(self, count: int) -> BodySystem:
-        """Return the body whose state ends with this count of numbers that forces hold."""
-        if count == self.held:
+    @property
+    def held_names(self) -> tuple[str, ...]:
+        """Names of the numbers at the end of the state that forces hold."""
+        return tuple(self.algebra.basis[self.dim - self.held :])
+
+    def with_held(self, names: tuple[str, ...]) -> BodySystem:
+        """Return the body whose state ends with numbers of these names, which forces hold."""
+        if names == self.held_names:
             return self
         parameters = self.parameters or {}
         if "held" not in parameters:
             raise TypeError(
                 f"{self.name} has no room in its state for numbers that forces hold; take co.systems.body, of another "
-                f"Hamiltonian with held={count}"
+                f"Hamiltonian with held={len(names)}"
             )
-        return cast(BodySystem, ready_made_systems()[self.name](**{**parameters, "held": count}))
+        return cast(BodySystem, ready_made_systems()[self.name](**{**parameters, "held": names}))
 
     def _velocities(self, x: Any) -> Floats:
         if not len(self.wheels) + len(self.gyros):
@@ -311,6 +318,7 @@ class BodySystem(Bodies):
         *,
         wheel_speeds: npt.ArrayLike | None = None,
         gimbal_angles: npt.ArrayLike | None = None,
+        memory: Mapping[str, npt.ArrayLike] | None = None,
         scalar_first: bool = False,
         degrees: bool = False,
         frame: str = "body",
@@ -327,6 +335,8 @@ class BodySystem(Bodies):
             Of the reaction wheels relative to the body, in radians per time; zero by default.
         gimbal_angles : (g,), optional
             Of the control-moment gyros, in radians; zero by default.
+        memory : mapping, optional
+            What forces hold, by names without numbers: ``{"integral": (0.1, 0.0, 0.0)}``; zero by default.
         scalar_first : bool
             Whether a quaternion is (w, x, y, z) instead of (x, y, z, w).
         degrees : bool
@@ -342,7 +352,8 @@ class BodySystem(Bodies):
         Raises
         ------
         TypeError, ValueError
-            Wrong shapes, no rotation, an angular velocity along a rod, or an attitude for a system without one.
+            Wrong shapes, no rotation, an angular velocity along a rod, an attitude for a system without one, or an
+            unknown name of a memory.
 
         Examples
         --------
@@ -374,8 +385,22 @@ class BodySystem(Bodies):
         momenta = np.einsum("...q,qi->...i", turns, self.gyros.reshape(-1, 3))
         L = L + np.einsum("...m,mi->...i", speeds, self.wheels) + momenta
         axes = np.zeros(0) if A is None else joined(A)
-        rows = (L, axes, moments * (speeds + along), turns, np.zeros(self.held))
+        rows = (L, axes, moments * (speeds + along), turns, self._memory(memory or {}))
         return np.concatenate(over_members(*((row, 1) for row in rows)), axis=-1)
+
+    def _memory(self, given: Mapping[str, npt.ArrayLike]) -> Floats:
+        """Return what forces hold, (held,) or (members, held), from values by names without numbers."""
+        stems = np.array([numberless(name) for name in self.held_names], dtype=str)
+        if given and not self.held:
+            raise ValueError(f"memory was given, and no force on {self.name} has one; add it by with_forces before")
+        row = np.zeros(self.held)
+        for name, values in given.items():
+            places = np.flatnonzero(stems == read_choice(name, "memory", dict.fromkeys(stems.tolist())))
+            vector = read_vectors(np.atleast_1d(values), f"memory[{name!r}]", (len(places),))
+            row, vector = over_members((row, 1), (vector, 1))
+            row = row.copy()
+            row[..., places] = vector
+        return row
 
 
 def _read_rotors(values: Any, what: str, count: int) -> Floats:

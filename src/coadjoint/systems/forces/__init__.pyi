@@ -17,9 +17,12 @@ from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
 from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
+from .magnetorquers import BDot as BDot
+from .magnetorquers import Magnetorquers as Magnetorquers
 from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled
 from .torque import Torque as Torque
+from .wheel_friction import WheelFriction as WheelFriction
 
 __all__: list[str]

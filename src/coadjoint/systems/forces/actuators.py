@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -41,6 +41,8 @@ class ReactionWheels(Sampled):
     max_momentum : float or (m,), optional
         Largest momentum of a wheel about its axis in space, its moment times its largest speed. A motor does not drive
         a wheel beyond it.
+    memory, delay, resolution : optional
+        As of `Sampled`; the resolution is that of the torque of a motor.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -71,16 +73,7 @@ class ReactionWheels(Sampled):
     _limits = dict.fromkeys(("max_torque", "max_momentum"), partial(read_limits, shape=()))
 
     def _count(self, system: Any) -> int:
-        count = len(system.wheels)
-        if not count:
-            raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
-        for name in ("max_torque", "max_momentum"):
-            if np.shape(getattr(self, name)) not in ((), (count,)):
-                raise ValueError(
-                    f"{name} of {self.label} has the shape {np.shape(getattr(self, name))}; {system.name} has {count} "
-                    "wheels"
-                )
-        return count
+        return count_wheels(self, system, ("max_torque", "max_momentum"))
 
     def _command(self, system: Any) -> Callable[..., Any]:
         wheels, count = system.wheels, self._count(system)
@@ -88,7 +81,7 @@ class ReactionWheels(Sampled):
         most = np.array(np.broadcast_to(np.inf if self.max_torque is None else self.max_torque, count))
         limited = self.max_torque is not None
 
-        def command(torque: Any, x: Any) -> Any:
+        def command(torque: Any, x: Any, t: Any) -> Any:
             motors = -(share[:, 0] * torque[0] + share[:, 1] * torque[1] + share[:, 2] * torque[2])
             return np.minimum(np.maximum(motors, -most), most) if limited else motors
 
@@ -106,6 +99,18 @@ class ReactionWheels(Sampled):
                 y[start + i] += up + down
 
         return act
+
+
+def count_wheels(force: Any, system: Any, names: Sequence[str]) -> int:
+    """Return the number of wheels of a body; raise an error without any, or for other numbers of these parameters."""
+    count = len(getattr(system, "wheels", ()))
+    if not count:
+        raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
+    for name in names:
+        shape = np.shape(getattr(force, name))
+        if shape not in ((), (count,)):
+            raise ValueError(f"{name} of {force.label} has the shape {shape}; {system.name} has {count} wheels")
+    return count
 
 
 def _shares(axes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -145,6 +150,8 @@ class ControlMomentGyros(Sampled):
         Largest rate of a gimbal (radians per time).
     regularization : float
         The share d, positive.
+    memory, delay, resolution : optional
+        As of `Sampled`; the resolution is that of the rate of a gimbal.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -174,7 +181,7 @@ class ControlMomentGyros(Sampled):
 
     moves: ClassVar[tuple[str, ...]] = ("momentum", "angle")
     command_name: ClassVar[str] = "rate of the gimbals"
-    selectors: ClassVar[tuple[str, ...]] = ("period", "first")
+    _limit_of_command: ClassVar[str] = "max_rate"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -194,8 +201,8 @@ class ControlMomentGyros(Sampled):
         at_zero, at_right = (np.ascontiguousarray(gyros[:, k]) for k in (0, 1))
         added = self.regularization * float((at_zero * at_zero).sum()) / 3.0
 
-        def command(torque: Any, x: Any) -> Any:
-            N = limit(torque, x)
+        def command(torque: Any, x: Any, t: Any) -> Any:
+            N = limit(torque, x, t)
             # B B^T with the columns of B, and its inverse by cofactors.
             xx, yy, zz, xy, xz, yz = added, added, added, 0.0, 0.0, 0.0
             for k in range(count):
@@ -264,6 +271,8 @@ class Thrusters(Sampled):
         Torque of the pair about each axis while it fires.
     min_impulse : float or (3,)
         The smallest impulse of a pulse (torque times time).
+    memory, delay, resolution : optional
+        As of `Sampled`; the resolution is that of the duration of a pulse.
     first : int
         Index of its first number among those that forces hold, the signed durations; ``with_forces`` sets it.
 
@@ -288,6 +297,7 @@ class Thrusters(Sampled):
     min_impulse: Any = 0.0
 
     example: ClassVar = {**Sampled.example, "max_torque": 0.2, "min_impulse": 0.004}
+    _limit_of_command: ClassVar[str] = "period"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -304,7 +314,7 @@ class Thrusters(Sampled):
         full, least = (np.array(np.broadcast_to(value, 3)) for value in (self.max_torque, self.min_impulse))
         period = self.period
 
-        def command(torque: Any, x: Any) -> Any:
+        def command(torque: Any, x: Any, t: Any) -> Any:
             impulse = np.minimum(np.abs(torque), full) * period
             return np.where(impulse >= least, np.copysign(impulse / full, torque), 0.0)
 

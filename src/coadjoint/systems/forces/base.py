@@ -146,9 +146,9 @@ class Force(Abstract):
         """Whether it is a constant `torque`, which may be an input of runs."""
         return False
 
-    def held_numbers(self, system: Any) -> int:
-        """Return how many numbers at the end of the state the force holds, and with_forces makes room for."""
-        return 0
+    def held_names(self, system: Any) -> tuple[str, ...]:
+        """Return the names, without numbers, of what the force holds at the end of the state."""
+        return ()
 
     def of_members_from(self, first: int) -> Force:
         """Return the force with the noise of the members of an ensemble from the number `first` on."""
@@ -301,14 +301,15 @@ def forces_on(system: Any, forces: Sequence[Any], new: int) -> tuple[Any, tuple[
             raise TypeError(f"with_forces was given {short(force)}, a list; give the forces: with_forces(*forces)")
         if not isinstance(force, Force):
             raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
-    counts = [force.held_numbers(system) for force in forces]
-    if any(counts):
-        starts = accumulate(counts, initial=0)
+    held = [force.held_names(system) for force in forces]
+    if any(held):
+        starts = accumulate(map(len, held), initial=0)
         forces = [
-            replace(force, first=first) if count else force
-            for force, count, first in zip(forces, counts, starts, strict=False)
+            replace(force, first=first) if names else force
+            for force, names, first in zip(forces, held, starts, strict=False)
         ]
-        system = system.with_held(sum(counts))
+        stems = [name for names in held for name in names]
+        system = system.with_held(tuple(f"{name}{stems[: k + 1].count(name)}" for k, name in enumerate(stems)))
     for k, force in enumerate(forces):
         force.check(system)
         if k >= len(forces) - new:

@@ -149,36 +149,40 @@ class MagneticDipole(BodyTorque):
 
     def __post_init__(self) -> None:
         self._read(moment=read_prescribed)
-        if self.position is not None:
-            self._read(position=read_prescribed)
-        if self.position is None or not callable(self.B):
-            self._read(B=read_prescribed)
-        else:
-            check_arguments(self.B, "B of MagneticDipole", "t, r")
-            place = prescribed(self.position)(SAMPLE_TIME)
-            check_value(self.B, "B of MagneticDipole", (3,), SAMPLE_TIME, np.asarray(place, dtype=np.float64))
+        read_magnetic_field(self)
         if callable(self.moment):
-            raise TypeError("moment of MagneticDipole is a function; give three numbers, or a co.forces.Torque")
-        if self.position is not None and not callable(self.B):
-            raise TypeError(
-                "position of MagneticDipole was given, but its field is constant; give a function of (t, r)"
-            )
+            raise TypeError("moment of MagneticDipole is a function; give three numbers, or a co.forces.Magnetorquers")
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
-        moment = np.array(self.moment)
-        if self.position is None:
-            field = prescribed(self.B)
+        moment, field = np.array(self.moment), magnetic_field(self)
 
-            def torque(x: Any, A: Any, t: Any) -> Any:
-                return cross(moment, to_body(A, field(t)))
+        def torque(x: Any, A: Any, t: Any) -> Any:
+            return cross(moment, to_body(A, field(t)))
 
-            return torque
-        given, position = self.B, prescribed(self.position)
+        return torque
 
-        def along_path(x: Any, A: Any, t: Any) -> Any:
-            return cross(moment, to_body(A, given(t, position(t))))
 
-        return along_path
+def read_magnetic_field(force: Any) -> None:
+    """Validate `B` of a force in space, of (t), or with `position` of (t, r)."""
+    what = f"B of {force.label}"
+    if force.position is not None:
+        force._read(position=read_prescribed)
+    if force.position is None or not callable(force.B):
+        force._read(B=read_prescribed)
+    else:
+        check_arguments(force.B, what, "t, r")
+        place = prescribed(force.position)(SAMPLE_TIME)
+        check_value(force.B, what, (3,), SAMPLE_TIME, np.asarray(place, dtype=np.float64))
+    if force.position is not None and not callable(force.B):
+        raise TypeError(f"position of {force.label} was given, but its field is constant; give a function of (t, r)")
+
+
+def magnetic_field(force: Any) -> Callable[..., Any]:
+    """Return the magnetic field of a force, in space, as a function of the time for compiled functions."""
+    if force.position is None:
+        return prescribed(force.B)
+    given, position = force.B, prescribed(force.position)
+    return lambda t: given(t, position(t))
 
 
 UNIT = 1e-6

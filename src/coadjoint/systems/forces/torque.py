@@ -48,6 +48,11 @@ class StateTorque(Force):
         """Return `on_state` for a controller, which reads only the first three numbers of a result of any length."""
         return self.on_state(system)
 
+    @property
+    def has_memory(self) -> bool:
+        """Whether it is a law that takes and returns a memory, which a sampled force keeps."""
+        return False
+
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         function, arguments = self.on_state(system)
         return np.asarray(function(*(x.copy() if one == "x" else t for one in arguments.split(", "))))
@@ -180,23 +185,54 @@ def _torque_on_state(
     return lambda x, t: placed(called(x, t), 0.0 * x), which
 
 
+@lru_cache(maxsize=64)
+def law_with_memory(law: Torque, system: Any, begin: int, count: int) -> Callable[..., Any]:
+    """Return torque and new memory, (3 + count,), as a function of (x, t); `begin` is the place of the memory in x."""
+    arguments = law._arguments()
+    velocities = velocities_of(system) if "omega" in arguments else None
+
+    def attitude(x: Any, t: Any) -> Any:
+        return x[3:PER_BODY].reshape(3, 3)
+
+    def memory(x: Any, t: Any) -> Any:
+        return x[begin : begin + count].copy()
+
+    called, which = _called_in_order(law.torque, arguments, attitude, velocities, memory)
+    timed = called if which == "x, t" else lambda x, t: called(x)
+
+    def evaluated(x: Any, t: Any) -> Any:
+        torque, new = timed(x, t)
+        result = 0.0 * x[: 3 + count]
+        if len(torque) != 3 or len(new) != count:
+            raise ValueError("a law returns a torque or a memory of another length")
+        for i in range(3):  # a slice compiles in seconds
+            result[i] = torque[i]
+        for i in range(count):
+            result[3 + i] = new[i]
+        return result
+
+    return evaluated
+
+
 def _called_in_order(
-    function: Callable[..., Any], arguments: str, attitudes: Any = None, velocities: Any = None
+    function: Callable[..., Any], arguments: str, attitudes: Any = None, velocities: Any = None, memory: Any = None
 ) -> tuple[Callable[..., Any], str]:
     """Return a function of other arguments as one of (x) or (x, t), and which."""
-    values = {"x": lambda x, t: x, "t": lambda x, t: t, "A": attitudes, "omega": velocities}
+    values = {"x": lambda x, t: x, "t": lambda x, t: t, "A": attitudes, "omega": velocities, "memory": memory}
     names = arguments.split(", ")
-    first, second, third, fourth = (values[name] for name in (*names, *["x"] * (4 - len(names))))
+    first, second, third, fourth, fifth = (values[name] for name in (*names, *["x"] * (5 - len(names))))
     of_state: list[Callable[..., Any]] = [
         lambda x: function(first(x, 0.0)),
         lambda x: function(first(x, 0.0), second(x, 0.0)),
         lambda x: function(first(x, 0.0), second(x, 0.0), third(x, 0.0)),
+        lambda x: function(first(x, 0.0), second(x, 0.0), third(x, 0.0), fourth(x, 0.0)),
     ]
     of_time: list[Callable[..., Any]] = [
         lambda x, t: function(first(x, t)),
         lambda x, t: function(first(x, t), second(x, t)),
         lambda x, t: function(first(x, t), second(x, t), third(x, t)),
         lambda x, t: function(first(x, t), second(x, t), third(x, t), fourth(x, t)),
+        lambda x, t: function(first(x, t), second(x, t), third(x, t), fourth(x, t), fifth(x, t)),
     ]
     chosen = (of_time if "t" in names else of_state)[len(names) - 1]
     return chosen, "x, t" if "t" in names else "x"
@@ -214,6 +250,8 @@ def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
 
 ON_BODIES = {"A", "omega"}
 """Names of arguments that bodies have beside the state: the attitude and the angular velocity."""
+OF_LAWS = {*ON_BODIES, "memory"}
+"""Those of laws that are sampled, which may also take their memory."""
 STATE_AND_TIME = {name: kind for kind in ("x", "t") for name in KNOWN_NAMES[kind]}
 PLAIN = "t", "x", "x, t"
 """Arguments of functions that are called as they are."""
@@ -241,13 +279,14 @@ class Torque(StateTorque):
         bodies and tops, such as ``co.systems.body``, also the torque in the frame of the body, (3,), or of k bodies
         (k, 3), of which a function may also ask for ``omega``, the angular velocity in the frame of the body, and, if
         attitudes are in the state, for ``A``, the attitude from the body to space, (3, 3) or (k, 3, 3). Two to four of
-        ``x``, ``A``, ``omega`` and ``t`` may stand in any order.
+        ``x``, ``A``, ``omega`` and ``t`` may stand in any order. A law that is sampled may also ask for its
+        ``memory``, and then returns the torque and the new memory, see `Sampled`.
 
     Raises
     ------
     ValueError, TypeError
-        Values that are not finite or of the wrong shape, a function of other arguments, or one of the attitude for a
-        system without attitudes in its state.
+        Values that are not finite or of the wrong shape, a function of other arguments, one of the attitude for a
+        system without attitudes in its state, or one of a memory that is not sampled.
 
     Examples
     --------
@@ -283,13 +322,13 @@ class Torque(StateTorque):
         """Return the arguments of the function in its order, such as "t", "x", "x, t" or "omega, A, t"."""
         parameters = parameters_of_function(self.torque)
         required = [one for one in parameters if one.default is one.empty or one.name == "t"]
-        kinds = [one.name if one.name in ON_BODIES else STATE_AND_TIME.get(one.name, "") for one in required]
-        if all(kinds) and len({*kinds}) == len(kinds) and (len(kinds) > 1 or {*kinds} & ON_BODIES):
+        kinds = [one.name if one.name in OF_LAWS else STATE_AND_TIME.get(one.name, "") for one in required]
+        if all(kinds) and len({*kinds}) == len(kinds) and (len(kinds) > 1 or {*kinds} & OF_LAWS):
             return ", ".join(kinds)
-        if {*kinds} & ON_BODIES:
+        if {*kinds} & OF_LAWS:
             raise TypeError(
-                f"the torque is a function of {names_of(parameters)}; give it arguments among x, A, omega and t, each "
-                "once"
+                f"the torque is a function of {names_of(parameters)}; give it arguments among x, A, omega and t, and "
+                "memory of a law that is sampled, each once"
             )
         if len(parameters) > 1 and parameters[1].name.lower() in ATTITUDES:
             raise TypeError(
@@ -323,6 +362,11 @@ class Torque(StateTorque):
                 check_state(self.torque, "the torque", system)
             return
         arguments = self._arguments()
+        if self.has_memory:
+            raise TypeError(
+                "the torque is a function of a memory, which laws have that are sampled; give co.forces.Sampled("
+                "Torque(function), period, memory={name: size}), or an actuator in place of Sampled"
+            )
         if "A" in arguments:
             check_attitude(system)
         if "omega" in arguments and not hasattr(system, "bodies"):
@@ -360,8 +404,16 @@ class Torque(StateTorque):
         """Whether it is a function of the attitude."""
         return not self.is_constant_torque and "A" in self._arguments()
 
+    @property
+    def has_memory(self) -> bool:
+        return not self.is_constant_torque and "memory" in self._arguments()
+
     def _needs_energy(self, system: Any) -> bool:
         return not self.is_constant_torque and "omega" in self._arguments()
+
+    def values_with_memory(self, system: Any, x: NDArray[Any], t: float, memory: NDArray[Any]) -> Any:
+        """Return what the function of a law with a memory returns."""
+        return self.torque(*_call_arguments(self._arguments(), x, t, system, memory))
 
     def law_on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
@@ -417,10 +469,11 @@ def _in_order(torque: Callable[..., Any], arguments: str) -> tuple[Callable[...,
     return _called_in_order(torque, arguments)
 
 
-def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
+def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None, memory: Any = None) -> tuple[Any, ...]:
     values: dict[str, Callable[[], Any]] = {
         "x": lambda: x,
         "t": lambda: t,
+        "memory": lambda: memory,
         "A": lambda: system.attitudes(x),
         "omega": lambda: velocities_of(system)(x, t),
     }
