@@ -110,7 +110,8 @@ def test_triples_with_sampled_laws(pair, other, order, begin):
 def test_a_law_sees_the_state_of_its_sample(pair, other):
     """What is held after a step is, in every bit, what is held if the force is alone, whatever acts beside it."""
     cases = [KINDS[name] for name in pair]
-    free, rotors = together(cases).free, together(cases).rotors
+    body = together([*cases, *(KINDS[name] for name in (other,) if name in KINDS)])
+    free, rotors = body.free, body.rotors
     method, h, t = co.methods.Forced(co.Splitting()), PERIOD, -4.0
     held = {}
     for case in cases:

@@ -13,7 +13,9 @@ from satellite_forces import CASES, STEP
 def test_derivatives_by_parameters_of_forces(name):
     """Tangents, gradients and differences of whole runs, over two samples, where no limit is reached."""
     case = CASES[name]
-    gradient = assert_derivatives(case.build, co.Splitting(), case.start, (0.0, 9 * STEP), STEP)
+    x0 = case.start
+    x0[len(x0) - case.memory :] = 0.1  # a measured field that is zero counts as none
+    gradient = assert_derivatives(case.build, co.Splitting(), x0, (0.0, 9 * STEP), STEP)
     label = name.partition(" ")[0]
     wanted = {
         "GravityGradient": {"mu", "position"} if case.stored else {"mu", "quadrupole"},

@@ -120,8 +120,8 @@ def test_b_dot_slows_down_a_tumbling_body_as_by_dop853(sampled, begin):
         x = co.integrate(sat, sat.state(TURNED, start), (begin, end), h).x[-1]
         errors.append(np.abs(sat.angular_velocity(x) - y[4:]).max())
         assert np.linalg.norm(sat.angular_velocity(x)) < 0.3 * np.linalg.norm(start)
-    # Where a moment leaves its limit within a step, terms of order two change.
-    assert errors[1] < 2e-3 and errors[0] / errors[1] > 3.0, errors
+    # Where a moment leaves its limit within a step, terms of order two change, and those of DOP853.
+    assert errors[1] < 2e-3 and (errors[1] < 1e-6 or errors[0] / errors[1] > 3.0), errors
 
 
 def test_moments_by_torques_and_as_they_are():
