@@ -384,7 +384,7 @@ class InputsOfMembers:
         loops = loops_of_batch(Batch([generic[owner] for owner in owners]), method, h, representations)
         assert loops.owners is not None
         # The tables of a loop are those of the first of its systems.
-        firsts, written = owners[np.unique(loops.owners, return_index=True)[1]].tolist(), []
+        firsts, written = owners[np.unique(loops.owners, return_index=True)[1]].tolist(), list[WritableTables]()
         for number, k in enumerate(firsts):
             with self._naming_member(k):
                 written.append(self.each[k].written_into(loops, number, method))
@@ -403,7 +403,7 @@ def _settled(method: Method, systems: Sequence[Any], coordinates: NDArray[np.int
 
 
 def _same_momenta(one: Any, other: Any) -> bool:
-    kinds = momenta_of(one.unforced), momenta_of(other.unforced)
+    kinds: Any = momenta_of(one.unforced), momenta_of(other.unforced)
     return kinds[0] is kinds[1] or np.array_equal(*kinds)
 
 

@@ -75,14 +75,14 @@ class MeasuredSteps:
     @ignore_overflow
     def __init__(self, solution: Solution, prepared: PreparedRun | None, suspects: tuple[int, ...] = ()) -> None:
         # An archive need not know its scheme and system; that of a run with inputs has their values.
-        described: Any = solution if prepared is None or prepared.takes_inputs else prepared
+        described: Any = solution if prepared is None or prepared.inputs is not None else prepared
         method, system = described.method, described.system
         if method.own_steps:
             raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
         if system.has_noise:
             raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
         # Loops of a run with attitudes need elements, and those with inputs their values.
-        if prepared is None or prepared.representation is not None or prepared.takes_inputs:
+        if prepared is None or prepared.representation is not None or prepared.inputs is not None:
             prepared = PreparedRun(system, method, solution.step, watch=False, threads=1)
         self.solution, self.method, self.system = solution, method, system
         self.groups = CoordinateGroups(system)

@@ -133,13 +133,13 @@ class PreparedRun(Immutable):
         watching = read_bool(watch, "watch")
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
         self.given_method = scheme  # whose parts may depend on the system
-        found: Any = None
-        if inputs is not None and inputs is not False:
+        if inputs is None or inputs is False:
+            self.inputs: Any = None
+        else:
             from coadjoint.runs.inputs import inputs_of
 
-            found = inputs_of(system, inputs)
-            scheme = found.settled(scheme)
-        self.inputs = found
+            self.inputs = inputs_of(system, inputs)
+            scheme = self.inputs.settled(scheme)
         self.system: Any = system
         self.method, self.step = scheme, read_step(step)
         self.scheme = effective_scheme(system, scheme)
@@ -207,8 +207,7 @@ class PreparedRun(Immutable):
         """Return the same run by another scheme; this run itself if it is its own."""
         if scheme is self.scheme:
             return self
-        options: dict[str, Any] = {"attitude": self.initial_attitude, "watch": False, "threads": 1}
-        return PreparedRun(self.system, scheme, self.step, **options)
+        return PreparedRun(self.system, scheme, self.step, attitude=self.initial_attitude, watch=False, threads=1)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
@@ -228,10 +227,6 @@ class PreparedRun(Immutable):
     def representation(self) -> Representation:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
-
-    @property
-    def takes_inputs(self) -> bool:
-        return self.inputs is not None
 
     def values_of(self, inputs: Mapping[str, Any], x0: Any = None) -> NDArray[np.float64] | None:
         """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
@@ -331,9 +326,8 @@ class PreparedRun(Immutable):
         for known in self.cache.loops.values():
             if (loops := known.at_step(h)) is not None:
                 return loops
-        if self.system.is_batch:
-            return loops_of_batch(self.system, self.scheme, h, representations)
-        return loops_of_system(self.system, self.scheme, h, representations, compact=True)
+        build: Any = loops_of_batch if self.system.is_batch else partial(loops_of_system, compact=True)
+        return cast(Loops, build(self.system, self.scheme, h, representations))
 
     def observed(self, start: Start) -> Observed | None:
         """Return the quantities to observe during a run, or None."""
@@ -637,17 +631,9 @@ class PreparedRun(Immutable):
         >>> x, span = prepared.end((0.1, 1.0, 0.1), (0.0, 5.0)), (0.0, 0.1)
         >>> bool((x == prepared.run((0.1, 1.0, 0.1), (0.0, 5.0)).x[-1]).all())
         True
+        >>> steered = co.prepare(co.systems.rigid_body((1, 2, 3)), None, step=0.05, inputs={"rotors": (0, 1, 2)})
         >>> for _ in range(1000):
-        ...     x = prepared.end(x, span)
-
-        A control loop:
-
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
-        >>> pushed = co.prepare(body, None, step=0.05, inputs={"thrusters": "Torque"})
-        >>> for _ in range(200):
-        ...     x = pushed.end(x, span, thrusters=-0.5 * x)
-        >>> bool(abs(x).max() < 1e-3)
-        True
+        ...     x = steered.end(x, span, rotors=-0.1 * x)
         """
         ends = self.cache.ends
         try:

@@ -203,7 +203,8 @@ class FlowMethod(Method):
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
         extended = [with_placeholders(system, coordinates) for system in systems]
-        decided, found = set[int](), None
+        decided = set[int]()
+        found: ChosenParts | None = None
         for stack in self.split_jointly(extended):
             if np.all(stack.factors == stack.factors[:, :1]):  # the choice is that of the first one
                 decided.update(stack.numbers[1:].tolist())

@@ -184,7 +184,8 @@ def joint_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
     system = stack.first
     if system.dim > MAX_PATTERN_SIZE or choice in BODY_FLOW_CHOICES:
         return []
-    inputs, linear = None, getattr(choice, "linear", ())
+    linear = getattr(choice, "linear", ())
+    inputs: Integers | None = None
     if linear:
         inputs = _present_everywhere(stack, linear)
         if inputs is None:
@@ -216,7 +217,8 @@ def _decisions_with_inputs(
     there = stacks_of([at_linear_values(stack.systems[m], choice) for m in stack.numbers.tolist()])
     if len(there) != 1 or len(there[0].coefficients) != len(stack.coefficients):
         return []
-    (at,), casimirs, result = there, quadratic_casimirs(stack.first), []
+    (at,), casimirs = there, quadratic_casimirs(stack.first)
+    result = list[tuple[tuple[Any, ...], SystemStack]]()
     expected = stack.coefficients[:, at.numbers]
     expected[inputs] = at.coefficients[inputs]
     if not np.array_equal(expected, at.coefficients):

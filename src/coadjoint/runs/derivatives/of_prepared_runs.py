@@ -70,7 +70,7 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     """Return whether members are differentiated in several runs: their structure, steps or times differ."""
     several = prepared.system.is_batch
     if given.events or prepared.method.own_steps:
-        if prepared.takes_inputs:
+        if prepared.inputs is not None:
             raise TypeError(
                 "runs with events or steps of their own have no derivatives with inputs; prepare without inputs="
             )
@@ -103,7 +103,7 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
 
 def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
     """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
-    alone = not prepared.system.is_batch or prepared.system.forces or prepared.takes_inputs
+    alone = not prepared.system.is_batch or prepared.system.forces or prepared.inputs is not None
     if alone or not prepared.scheme.differentiable:
         return []
     cache = prepared.cache
@@ -135,7 +135,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
             )
         leading[name] = array
     of_inputs: dict[str, Any] = {}
-    if prepared.takes_inputs:
+    if prepared.inputs is not None:
         of_inputs = read_mapping(directions.pop(INPUTS, {}), "the direction inputs", "names of inputs")
     for name, value in of_inputs.items():
         if name not in prepared.inputs.indices:
@@ -232,7 +232,7 @@ def _gradient_of_members(
         stacked = _beside(pieces, [one[name] for one in found], len(solution.x0), axis=0)
         summed = name in parameters and not prepared.system.is_batch
         values[name] = stacked.sum(axis=0) if summed else stacked
-    if prepared.takes_inputs:
+    if prepared.inputs is not None:
         values[INPUTS] = {}
         for name in prepared.inputs.indices:
             stacked = _beside(pieces, [one[INPUTS][name] for one in found], len(solution.x0), axis=0)

@@ -42,7 +42,7 @@ class ParametrizedRun:
     ) -> None:
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
-        if prepared.takes_inputs and not takes_inputs:
+        if prepared.inputs is not None and not takes_inputs:
             raise TypeError(f"{caller} was given a run prepared with inputs; prepare without inputs=")
         if len(prepared.system.shape) > 1:
             raise TypeError(
@@ -117,13 +117,13 @@ class ParametrizedRun:
         system = prepared.system
         if system.has_noise:
             return
-        run: PreparedRun = prepared if prepared.takes_inputs else self._run_at(given).prepared
+        run: PreparedRun = prepared if prepared.inputs is not None else self._run_at(given).prepared
         x0, attitude = given["x0"], given.get("attitude0")
         if x0.ndim > 1 and len(x0) > CHECKED_MEMBERS:
             run, x0 = run.among(0, CHECKED_MEMBERS), x0[:CHECKED_MEMBERS]
             attitude = attitude if attitude is None or attitude.ndim < 3 else attitude[:CHECKED_MEMBERS]
         arguments: dict[str, Any] = dict(zip(("t_span", "save_every", "t_eval"), self._times, strict=True))
-        if prepared.takes_inputs:
+        if prepared.inputs is not None:
             arguments |= {name: given[name] for name in given if name in self._shapes}
         terms = (term for one in system.distinct for term in one.hamiltonian.terms() if term.called)
         if times.steps > CHECKED_CALLS and any(is_called_in_python(term.gradient) for term in terms):

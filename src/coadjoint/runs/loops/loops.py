@@ -96,7 +96,7 @@ class Loops:
             self.groups = [Group(None, compiled[0].name, *tables)]
         else:
             self._structures: dict[int, Hashable] = {}
-            columns = [*self._columns] or [None] * len(self.compiled)
+            columns: Sequence[Columns | None] = self._columns or [None] * len(self.compiled)
             tables = [
                 None if one is None else one.tables(loop, watch)
                 for one, loop, watch in zip(columns, compiled, watches, strict=True)
@@ -224,7 +224,7 @@ class Loops:
         """Return the loops of a batch with values (members, m), which follow the coefficients of each member."""
         owners: Any = self.owners
         by_loop = np.argsort(owners, kind="stable")
-        rows, numbers = {}, np.empty(len(owners), dtype=np.int64)
+        rows, numbers = dict[int, Floats](), np.empty(len(owners), dtype=np.int64)
         for members in np.split(by_loop, np.flatnonzero(np.diff(owners[by_loop])) + 1):
             k, rest = int(owners[members[0]]), values[members]
             if self._numbers is not None and (own := self._columns[k]) is not None:

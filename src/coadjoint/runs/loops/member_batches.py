@@ -195,10 +195,9 @@ def groups_of(
         elif writable is not None:
             by_loop = np.argsort(owners[members], kind="stable")
             pieces = np.split(by_loop, np.flatnonzero(np.diff(owners[members[by_loop]])) + 1)
-            written = []
+            written = list[tuple[Any, Any, Floats]]()
             for columns in pieces:
-                j = int(owners[members[columns[0]]])
-                own = columns if len(pieces) > 1 else slice(0, len(columns))
+                j, own = int(owners[members[columns[0]]]), columns if len(pieces) > 1 else slice(0, len(columns))
                 written.append((tables[j], own, rows[j][numbers[members[columns]]]))
             loop, watch, stride = side_by_side(len(members), written)
         elif not alone[members[0]]:
