@@ -294,6 +294,8 @@ def _numbers_of_force(place: str, force: Force) -> Iterator[tuple[str, Any]]:
     for name, value in force.parameters().items():
         if isinstance(value, Force):
             yield from _numbers_of_force(f"{place}.{name}", value)
+        elif name == "arguments":
+            yield from ((f"{place}.{name}.{one}", number) for one, number in value)
         else:
             yield f"{place}.{name}", value
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import types
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import short
 from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
@@ -24,7 +26,7 @@ from coadjoint.systems.user_functions import (
     parameters_of_function,
     takes_time,
 )
-from coadjoint.validation import read_numbers, set_fields
+from coadjoint.validation import as_tuples, read_finite, read_numbers, set_fields
 
 SAMPLE_ATTITUDE = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
 
@@ -197,7 +199,7 @@ def law_with_memory(law: Torque, system: Any, begin: int, count: int) -> Callabl
     def memory(x: Any, t: Any) -> Any:
         return x[begin : begin + count].copy()
 
-    called, which = _called_in_order(law.torque, arguments, attitude, velocities, memory)
+    called, which = _called_in_order(law.function, arguments, attitude, velocities, memory)
     timed = called if which == "x, t" else lambda x, t: called(x)
 
     def evaluated(x: Any, t: Any) -> Any:
@@ -281,6 +283,9 @@ class Torque(StateTorque):
         attitudes are in the state, for ``A``, the attitude from the body to space, (3, 3) or (k, 3, 3). Two to four of
         ``x``, ``A``, ``omega`` and ``t`` may stand in any order. A law that is sampled may also ask for its
         ``memory``, and then returns the torque and the new memory, see `Sampled`.
+    arguments : mapping, optional
+        Values of the last arguments of the function, by name: numbers and arrays, such as gains. They are parameters
+        of the run, by which it can be differentiated, as ``Torque.arguments.gain``.
 
     Raises
     ------
@@ -305,22 +310,40 @@ class Torque(StateTorque):
     >>> sol = co.integrate(body, x0, t_span=(0, 40), step=0.05)
     >>> bool(sol.rotation[-1].magnitude() < 1e-6)
     True
+
+    A gain of which the run is differentiated:
+
+    >>> def damper(omega, gain):
+    ...     return -gain * omega
+    >>> law = co.forces.Torque(damper, arguments={"gain": 0.5})
+    >>> ready = co.prepare(co.systems.body((1, 2, 2.5)).with_forces(law), co.Splitting(), step=0.125)
+    >>> x0 = ready.system.state(angular_velocity=(0.0, 0.0, 1.0))
+    >>> sol, pullback = ready.vjp(x0, t_span=(0, 1))
+    >>> bool(abs(pullback(x=np.eye(12)[[2]] * (sol.t == 1.0)[:, None])["Torque.arguments.gain"] + np.exp(-0.2)) < 1e-6)
+    True
     """
 
     torque: Any
+    arguments: Any = field(default=(), kw_only=True)
 
     example: ClassVar = {"torque": (0.1, -0.2, 0.3)}
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        set_fields(self, arguments=_read_arguments(self.arguments, self.torque))
         if not self.is_constant_torque:
             self._arguments()
         else:
             set_fields(self, torque=read_state(self.torque, "the torque"))
 
+    @property
+    def function(self) -> Callable[..., Any]:
+        """The function of the state and the time, with the values of the other arguments."""
+        return _with_values(self.torque, self.arguments) if self.arguments else cast(Callable[..., Any], self.torque)
+
     def _arguments(self) -> str:
         """Return the arguments of the function in its order, such as "t", "x", "x, t" or "omega, A, t"."""
-        parameters = parameters_of_function(self.torque)
+        parameters = parameters_of_function(self.function)
         required = [one for one in parameters if one.default is one.empty or one.name == "t"]
         kinds = [one.name if one.name in OF_LAWS else STATE_AND_TIME.get(one.name, "") for one in required]
         if all(kinds) and len({*kinds}) == len(kinds) and (len(kinds) > 1 or {*kinds} & OF_LAWS):
@@ -338,9 +361,9 @@ class Torque(StateTorque):
         is_alone = len(parameters) > 0 and sum(one.default is one.empty for one in parameters) < 2
         kind = kind_of_name(parameters[0].name) if is_alone else "x"
         if kind == "t":
-            check_arguments(self.torque, "the torque", "t")
+            check_arguments(self.function, "the torque", "t")
             return "t"
-        timed = takes_time(self.torque, "the torque")
+        timed = takes_time(self.function, "the torque")
         if kind != "x" and not timed:
             raise TypeError(
                 f"the torque is a function of {names_of(parameters[:1])}; name this argument t if it is the time, or x "
@@ -376,7 +399,7 @@ class Torque(StateTorque):
             )
         of_bodies = "A" in arguments or "omega" in arguments
         shape = torque_shape(system) if of_bodies else (system.dim,)
-        value, failure = _value_at_sample(self.torque, arguments, system)
+        value, failure = _value_at_sample(self.function, arguments, system)
         if failure is not None:
             raise ValueError(
                 f"the torque, called with ({arguments}), fails at every sample point ({failure}); correct the function"
@@ -395,7 +418,7 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             return torque_vector(self.torque, system)
         if system.has_matrices:
-            torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
+            torque = self.function(*_call_arguments(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(torque))
         return super().field(system, x, t)
 
@@ -413,23 +436,23 @@ class Torque(StateTorque):
 
     def values_with_memory(self, system: Any, x: NDArray[Any], t: float, memory: NDArray[Any]) -> Any:
         """Return what the function of a law with a memory returns."""
-        return self.torque(*_call_arguments(self._arguments(), x, t, system, memory))
+        return self.function(*_call_arguments(self._arguments(), x, t, system, memory))
 
     def law_on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
             return constant_in_time(np.array(self.torque)), "t"
         arguments = self._arguments()
-        return (self.torque, arguments) if arguments in PLAIN else self.on_state(system)
+        return (self.function, arguments) if arguments in PLAIN else self.on_state(system)
 
     def on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
             return constant_in_time(torque_vector(self.torque, system)), "t"
         arguments = self._arguments()
         if ON_BODIES & {*arguments.split(", ")} or (
-            hasattr(system, "bodies") and is_on_bodies(_shape_of_values(self.torque, arguments, system), system)
+            hasattr(system, "bodies") and is_on_bodies(_shape_of_values(self.function, arguments, system), system)
         ):
-            return torque_on_state(self.torque, arguments, system)
-        return (self.torque, arguments) if arguments in PLAIN else _in_order(self.torque, arguments)
+            return torque_on_state(self.function, arguments, system)
+        return (self.function, arguments) if arguments in PLAIN else _in_order(self.function, arguments)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if self.is_constant_torque:
@@ -440,6 +463,34 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             return reader.constant(torque_vector(self.torque, system))
         return super().describe_to(reader, system)
+
+
+def _read_arguments(value: Any, torque: Any) -> tuple[tuple[str, Any], ...]:
+    """Validate values of the last arguments of a function, a mapping or pairs, and return pairs in their order."""
+    if value is None or not len(value):
+        return ()
+    if not callable(torque):
+        raise TypeError("arguments was given, and the torque is constant; give a function of them")
+    names = [one.name for one in parameters_of_function(torque)]
+    try:
+        given = dict(value)
+    except (TypeError, ValueError):
+        raise TypeError(f'arguments is {short(value)}; give names with values: {{"gain": 0.5}}') from None
+    last = names[len(names) - len(given) :]
+    if {*last} != {*given} or len(given) == len(names) or {*given} & {*OF_LAWS, *STATE_AND_TIME}:
+        raise TypeError(
+            f"arguments has values of {', '.join(map(str, given))}, and the torque is a function of "
+            f"({', '.join(names)}); give those of its last arguments, behind the state and the time"
+        )
+    return tuple((name, as_tuples(read_finite(given[name], f"{name} of the torque"))) for name in last)
+
+
+@lru_cache(maxsize=1024)
+def _with_values(function: Any, arguments: tuple[tuple[str, Any], ...]) -> Callable[..., Any]:
+    """Return a function with values of its last arguments as their defaults, which are data of machine code."""
+    plain = getattr(function, "py_func", function)
+    values = tuple(np.array(value) if isinstance(value, tuple) else float(value) for _, value in arguments)
+    return types.FunctionType(plain.__code__, plain.__globals__, plain.__name__, values, plain.__closure__)
 
 
 def shapes_on(system: Any) -> str:
