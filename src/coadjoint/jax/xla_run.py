@@ -46,8 +46,6 @@ class XlaRun:
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True)
         inputs = prepared.inputs
-        if inputs is not None and prepared.system.is_batch:
-            raise TypeError(f"{CALLER} takes inputs of one system, not of {prepared.system.name}; prepare each member")
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         method, group = prepared.method, prepared.representation

@@ -58,6 +58,7 @@ class Inputs:
 
     def __init__(self, system: System, specification: Any) -> None:
         self.system = system
+        self._leading: Mapping[str, Any] = MEMBERS  # labels of axes in front of those of a value
         self._unforced: Any = system.unforced
         if isinstance(specification, bool | np.bool_) and specification:
             specification = range(system.dim)
@@ -187,7 +188,8 @@ class Inputs:
         """Return the numbers of an input, of coordinates perhaps labelled by their names."""
         if labelled(value) is not None and self.indices[name].ndim == 1:
             names = coordinate_names(self.system)
-            order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
+            own = [names[k % self.system.dim] for k in self.indices[name].tolist()]
+            order = {"component": own, **self._leading}
             value = by_labels(value, name, STATE_DIMENSIONS[0], order)
         return read_numbers(value, name)
 
@@ -320,6 +322,9 @@ class InputsOfMembers:
     def __init__(self, batch: Batch, specification: Any) -> None:
         first, self.batch = Inputs(batch.first, specification), batch
         self._first, self.specification = first, first.specification
+        if len(batch.axes) == 1:
+            ((name, axis),) = batch.axes.items()
+            first._leading = {**MEMBERS, name: None if axis.values is None else axis.values.tolist()}
         self.each = [first]
         for k, system in enumerate(batch.distinct[1:], start=1):
             with self._naming_member(k):

@@ -136,6 +136,10 @@ def test_labelled_values_have_the_order_of_members():
     shuffled = each["linear"][order][:, [1, 2, 0]]
     labelled = xarray.DataArray(shuffled.T, {"member": order, "component": names}, ("component", "member"))
     assert np.array_equal(ready.run(x, FORWARD, linear=labelled).x, ready.run(x, FORWARD, **each).x)
+    family = co.batch(lambda third: co.systems.rigid_body((2, 2.5, third)), third=[2.5, 2.75, 3.0, 3.5])
+    of_axis = labelled.rename(member="third").assign_coords(third=np.array([2.5, 2.75, 3.0, 3.5])[order])
+    sol = co.prepare(family, None, STEP, inputs=inputs).run(x, FORWARD, linear=of_axis)
+    assert np.array_equal(sol.x, ready.run(x, FORWARD, **each).x) and sol.to_xarray().x.dims[1] == "third"
     with refused(ValueError, "linear", "labels", "m1"):
         ready.run(x, FORWARD, linear=labelled.assign_coords(component=["m1", "m2", "m3"]))
 

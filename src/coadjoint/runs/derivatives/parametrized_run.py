@@ -42,8 +42,9 @@ class ParametrizedRun:
     ) -> None:
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
-        if prepared.inputs is not None and not takes_inputs:
-            raise TypeError(f"{caller} was given a run prepared with inputs; prepare without inputs=")
+        if prepared.inputs is not None and (prepared.system.is_batch or not takes_inputs):
+            of_batch = " of a batch" if takes_inputs else ""
+            raise TypeError(f"{caller} was given a run{of_batch} prepared with inputs; prepare without inputs=")
         if len(prepared.system.shape) > 1:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
