@@ -2,7 +2,8 @@
 
 The layout of the folder is described in `coadjoint.files.archives.store`, which writes it. An ensemble is stored in
 blocks of members, each written by one process; a run without blocks is read as an ensemble of one block. Crossings of
-events are among the numbers of the last state, or of the markers of the blocks. The checksum of the root covers all attributes and array metadata, however the JSON is formatted; it detects damage, not forgery.
+events are among the numbers of the last state, or of the markers of the blocks. The checksum of the root covers all
+attributes and array metadata, however the JSON is formatted; it detects damage, not forgery.
 
 An archive may be untrusted. Its metadata must be what the library writes: plain names, and the codecs, types and chunks
 of `StoredArray`. Files are reached through `ArchiveFolder`, which follows no links. Nothing is unpickled.
