@@ -83,7 +83,8 @@ class EventRun:
         if stored is not None:
             found = events_of_numbers(stored, found, members)
             self.arrays.restore_arrays([array[self._order] for array in self._arrays_among(stored)])
-            failed = {member: (step, tuple(about)) for member, step, about in json.loads(bytes(stored[FAILED]))}
+            for member, step, (status, residual, reason) in json.loads(bytes(stored[FAILED])):
+                failed[member] = step, (status, residual, reason)
             for member, (step, failure) in failed.items():
                 run.mark_failed(member, step, *failure)
         self._pieces, self._counts, self._failed = [found], np.zeros((members, count), dtype=np.int64), failed

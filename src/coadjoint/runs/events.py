@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,7 +244,7 @@ def joined_events(pieces: Sequence[RecordedEvents]) -> RecordedEvents:
     t, x, which, member, direction = (
         np.concatenate([getattr(piece, name) for piece in pieces]) for name in PER_CROSSING
     )
-    attitude = None if first.attitude is None else np.concatenate([piece.attitude for piece in pieces])
+    attitude = None if first.attitude is None else np.concatenate(cast(Any, [piece.attitude for piece in pieces]))
     joined = RecordedEvents(first.names, t, x, which, member, direction, attitude, first.coordinates, first.asked)
     return joined.chosen(np.argsort(member, kind="stable"))
 

@@ -25,7 +25,7 @@ KILLS, LONGEST = 4, 0.6
 """Kills per run, and the longest time (s) before one."""
 TOP = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0]))
 X = np.array([1.0, -0.5, 1.5, 0.625, 0.25, 0.75])
-RUNS: tuple[tuple[Any, Any, co.Method, Any, Any], ...] = (
+RUNS: tuple[tuple[Any, Any, Any, Any, Any], ...] = (
     (TOP, X, co.GaussLegendre(2), "coadjoint", None),
     (TOP, np.multiply.outer(1.0 - 0.05 * np.arange(5), X), co.Splitting(order=4), False,
      [co.Event(0, terminal=True, count=105), co.Event(4, direction=1)]),

@@ -146,7 +146,7 @@ class StoredSolution(Solution):
         return self._read("x0")
 
     @cached_property
-    def _ending(self) -> TerminalEvent | None:  # type: ignore[override]
+    def _ending(self) -> TerminalEvent | None:
         if ENDED_ATTRIBUTE not in self.attributes:
             return None
         values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
