@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.program.table import build_program
+from coadjoint.program.table import build_flow_table
 
 METHOD = co.Splitting(order=2, parts="coordinates")
 
@@ -59,7 +59,7 @@ def diagonal_and_linear(case: Case) -> list[float]:
 
 def squares(case: Case) -> list[float]:
     """Return state, and for each completed square of the program its weighted form, frequency, D and D^2."""
-    program = build_program(case.system, METHOD)
+    program = build_flow_table(case.system, METHOD)
     values = [*case.x0]
     for part, term in zip(program.parts, program.share, strict=False):
         coordinates, form = part.forms[0]

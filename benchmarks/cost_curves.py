@@ -19,7 +19,7 @@ from scipy.sparse import diags_array
 
 import coadjoint as co
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.table import Program, build_program
+from coadjoint.program.table import Program, build_flow_table
 
 HERE = Path(__file__).parent
 LARGEST = 1_000_000
@@ -126,11 +126,11 @@ def building(case: Case) -> tuple[float, int, Program]:
     while not seconds or (min(seconds) < SHORT and len(seconds) < RUNS):
         system = case.make()
         begun = time.perf_counter()
-        program = build_program(system, METHOD)
+        program = build_flow_table(system, METHOD)
         seconds.append(time.perf_counter() - begun)
     del program
     tracemalloc.start()
-    program = build_program(case.make(), METHOD)
+    program = build_flow_table(case.make(), METHOD)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return min(seconds), peak, program

@@ -83,7 +83,7 @@ def check_same_steps(case: Large, program: Path) -> None:
 
 
 def compare(case: Large, rounds: int) -> str:
-    program = build(case.program)
+    program = build(case.flow_table)
     check_same_steps(case, program)
     theirs, ours = [], []
     for _ in range(rounds):

@@ -75,7 +75,7 @@ def in_turns(title: str, rounds: int, reference: Callable[[], float], ours: Call
 
 
 def against_c(title: str, case: Case, steps: int, rounds: int, method: Any = METHOD) -> Row:
-    program = build(case.program)
+    program = build(case.flow_table)
     nanoseconds(case, max(1, steps // 10), method=method)
     theirs = partial(run, program, case.c_arguments(steps))
     return in_turns(title, rounds, lambda: theirs()[0], lambda: nanoseconds(case, steps, method=method))
@@ -92,7 +92,7 @@ def measure(steps: int, rounds: int, only: list[str]) -> list[tuple[str, Row]]:
     found = []
     for key, case in cases().items():
         if key in only:
-            check_same_steps(case, build(case.program))
+            check_same_steps(case, build(case.flow_table))
             found.append((key, against_c(case.title, case, steps, rounds)))
     body, carried = cases()["a"], cases()["b"]
     if "e" in only:

@@ -252,9 +252,9 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
         )
     if scheme.compensates:
         raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
-    program = scheme.program(system, group=group)
-    table = program.to_mapping()
-    return table_steps(table, program.functions, *_of_group(program, group)), table
+    flow_table = scheme.flow_table(system, group=group)
+    table = flow_table.to_mapping()
+    return table_steps(table, flow_table.functions, *_of_group(flow_table, group)), table
 
 
 def _structure_differs(
@@ -272,12 +272,14 @@ def _structure_differs(
     return has_functions or differ or not all(np.array_equal(*pair) for pair in pairs)
 
 
-def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:
+def _of_group(flow_table: Any, group: Any) -> tuple[int | None, list[Any]]:
     """Return the size of a group element, and the tables of the generators of subtracted Casimirs."""
     if group is None:
         return None, []
-    system, rho, side = program.system, given_matrices(group), group_side(program.system.dim, group)
-    return side, [unshift_tables(system.algebra, rho, system.sign, ((casimir, 1.0),)) for casimir, _ in program.shift]
+    system, rho, side = flow_table.system, given_matrices(group), group_side(flow_table.system.dim, group)
+    return side, [
+        unshift_tables(system.algebra, rho, system.sign, ((casimir, 1.0),)) for casimir, _ in flow_table.shift
+    ]
 
 
 def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:

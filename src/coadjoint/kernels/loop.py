@@ -1,4 +1,4 @@
-"""Compiled loops over steps: the arrays of a run, each group contiguous, calls, and limits on BLAS threads."""
+"""Calls of the compiled time-stepping loops, the memory layout of a run that they share, and limits on BLAS threads."""
 
 from __future__ import annotations
 
@@ -131,13 +131,13 @@ WholeRun: Any = ctypes.c_int64 * 9
 class CompiledLoop(CompiledTables):
     """A compiled loop: tables and name in the library; `memory`: numbers of a member that the scheme keeps.
 
-    `accounts`: work integrals behind the coordinates, as (force, invariant).
+    `work_integrals`: work integrals behind the coordinates, as (force, invariant).
     """
 
     name: str
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
-    accounts: tuple[tuple[str, str], ...] = ()
+    work_integrals: tuple[tuple[str, str], ...] = ()
 
 
 NEVER_STOPPED = ctypes.c_int64(0)

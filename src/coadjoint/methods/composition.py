@@ -15,7 +15,7 @@ from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
-from coadjoint.program.table import Program
+from coadjoint.program.table import FlowTable
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.shortcuts import of
 from coadjoint.systems.system import System
@@ -104,10 +104,10 @@ class Composition(Composed):
         self._check_loop(system)
         return self.expanded._shared_loop(system, h, representation)
 
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        if type(self.expanded).program is Method.program:  # refused, by the name of the scheme that was given
-            return super().program(system, group=group, number=number)
-        return self.expanded.program(system, group=group, number=number)
+    def flow_table(self, system: System, *, group: Representation = None, number: Number = float) -> FlowTable:
+        if type(self.expanded).flow_table is Method.flow_table:  # refused, by the name of the scheme that was given
+            return super().flow_table(system, group=group, number=number)
+        return self.expanded.flow_table(system, group=group, number=number)
 
     @classmethod
     def examples(cls) -> Sequence[Method]:

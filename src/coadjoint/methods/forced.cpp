@@ -1,5 +1,5 @@
 // Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; at
-// fractions of the step for higher orders; with the account of each force.
+// fractions of the step for higher orders; with the work integrals of each force.
 #include <cmath>
 #include <cstring>
 #include <memory>
@@ -52,7 +52,7 @@ struct Forced final : StepScheme {
         }
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
-        for (const auto& force : forces) measured = measured && force->measures() && force->table.accounts <= 1;
+        for (const auto& force : forces) measured = measured && force->measures() && force->table.work_integrals <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
         // substeps of other lengths.
         memory_size = matrices && substeps.size() == 1 ? tables.whole[3] : 0;
@@ -105,8 +105,8 @@ struct Forced final : StepScheme {
         return true;
     }
 
-    // Apply the flow of a force, and add its changes of invariants to its accounts, stored behind the coordinates. The
-    // invariants are those of the time `frozen`.
+    // Apply the flow of a force, and add its changes of invariants, at the time `frozen`, to its work integrals, which are
+    // stored behind the coordinates.
     int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen) {
         const int64_t status = force.flow(x, t, tau, member);
         evaluations += force.evaluations;
@@ -114,23 +114,23 @@ struct Forced final : StepScheme {
         residual = force.residual;
         if (status != DONE) return status;
         if (measured) {
-            if (force.table.accounts) add(x, dx, force.table.account, force.change());
+            if (force.table.work_integrals) add(x, dx, force.table.work_integral, force.change());
             return DONE;
         }
         before.swap(values);
         if (!evaluate(x, frozen)) return UNDEFINED;
-        for (int64_t i = 0; i < std::min(tracked, force.table.accounts); ++i) {
+        for (int64_t i = 0; i < std::min(tracked, force.table.work_integrals); ++i) {
             const double period = matrices ? 0.0 : constants.number_at<double>(tables.restored.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
             // An invariant without a value here, such as log|x| at zero, has no change either; its balance is NaN.
             const double change = now - before[i];
-            if (std::isfinite(change)) add(x, dx, force.table.account + i, change);
+            if (std::isfinite(change)) add(x, dx, force.table.work_integral + i, change);
         }
         return DONE;
     }
 
-    void add(double* x, double* dx, int64_t account, double change) {
-        const int64_t position = n + account;
+    void add(double* x, double* dx, int64_t work_integral, double change) {
+        const int64_t position = n + work_integral;
         const double old = x[position];
         two_sum(old, dx[position] + change, x[position], dx[position]);
     }

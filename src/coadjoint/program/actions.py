@@ -152,7 +152,7 @@ def _arrange_runs(size: int, blocks: BlockTable, parts: Parts) -> Action:
 
 
 def empty_action(size: int = 0, parts: int = 0, number: Number = float) -> Action:
-    """Return an action that moves nothing; by default that of a program without a group element."""
+    """Return an action that moves nothing; by default that of a flow table without a group element."""
     empty, kind = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
     run = np.zeros(parts + 1, dtype=np.uint32)
     return Action._make([size, run, kind, *[empty] * 9, array_of(number, [])])

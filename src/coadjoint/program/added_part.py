@@ -19,8 +19,8 @@ from coadjoint.program.generators import BasisMatrices, given_matrices
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.sources import Multiples, concatenated, monomials_in, products_of
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
-from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
-from coadjoint.program.table import Program
+from coadjoint.program.sweeps import JoinRules, Stages, Swept, stages_of
+from coadjoint.program.table import FlowTable
 from coadjoint.program.term_table import FUNCTION, LINEAR, Terms, TermTable
 from coadjoint.systems.coefficients import Key, Monomials, encoded
 from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDerivative
@@ -28,11 +28,11 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class AddedPart(NamedTuple):
-    """A program with a last part that moves nothing: `rows` and `terms` of all parts, its numbers of `shares` and
+    """A flow table with a last part that moves nothing: `rows` and `terms` of all parts, its numbers of `shares` and
     `angles`, generators in `state` and `group`, its `coefficients`, and `counts` of constants of both.
     """
 
-    rows: ProgramRows
+    rows: Stages
     terms: Terms
     functions: tuple[FunctionDerivative, ...]
     shares: int
@@ -48,17 +48,21 @@ class AddedPart(NamedTuple):
         return _moved(self.coefficients, starts_of(self.counts[1]), to).split(sizes)
 
     def renumbered(self, coefficients: Multiples) -> Multiples:
-        """Assign to coefficients of the program the numbers of those of all terms."""
+        """Assign to coefficients of the flow table the numbers of those of all terms."""
         own, joined = starts_of(self.counts[0]), starts_of(self.counts.sum(axis=0))
         return _moved(coefficients, own, joined[:-1])
 
 
 def with_added_part(
-    program: Program, method: Swept, system: LiePoissonSystem, group: NDArray[Any] | str | None, G: EnergyDerivative
+    flow_table: FlowTable,
+    method: Swept,
+    system: LiePoissonSystem,
+    group: NDArray[Any] | str | None,
+    G: EnergyDerivative,
 ) -> AddedPart:
-    """Return a program with the part G of the energy, by parameters."""
+    """Return a flow table with the part G of the energy, by parameters."""
     added, coefficients = terms_of(G, system.dim)
-    terms = _joined_terms(program.terms, added)
+    terms = _joined_terms(flow_table.terms, added)
     target = added.target.astype(np.int64)
     parts = Parts(
         SparseRows.units(target),
@@ -73,38 +77,38 @@ def with_added_part(
     def extended(action: Action, matrices: BasisMatrices) -> Action:
         return _joined_actions(action, build_action(matrices, parts))
 
-    counts = np.array([[len(one.offset), len(one.weight), len(one.coefficient)] for one in (program.terms, added)])
+    counts = np.array([[len(one.offset), len(one.weight), len(one.coefficient)] for one in (flow_table.terms, added)])
     of_group = None
-    if program.group is not None:
-        of_group = extended(program.group, BasisMatrices.on_group(system.algebra, given_matrices(group)))
+    if flow_table.group is not None:
+        of_group = extended(flow_table.group, BasisMatrices.on_group(system.algebra, given_matrices(group)))
     return AddedPart(
-        rows=_rows(program, method, _position(program, G)),
+        rows=_rows(flow_table, method, _position(flow_table, G)),
         terms=terms,
         functions=G.functions,
         shares=added.size,
         angles=len(target),
-        state=extended(program.state, BasisMatrices.coadjoint(system.algebra)),
+        state=extended(flow_table.state, BasisMatrices.coadjoint(system.algebra)),
         group=of_group,
         coefficients=coefficients,
         counts=counts,
     )
 
 
-def _position(program: Program, G: EnergyDerivative) -> int:
+def _position(flow_table: FlowTable, G: EnergyDerivative) -> int:
     """Return the position of the added part: inside of sweeps, next to the function that G has derivatives of."""
-    last = len(program.parts) - 1
+    last = len(flow_table.parts) - 1
     if not G.functions:
         return max(0, min(1, last))
-    called = {int(k) for k in np.flatnonzero(program.terms.kind == FUNCTION)}
-    of_part = [part for part in range(last + 1) if called & {*range(*program.parts.share[part : part + 2].tolist())}]
+    called = {int(k) for k in np.flatnonzero(flow_table.terms.kind == FUNCTION)}
+    of_part = [part for part in range(last + 1) if called & {*range(*flow_table.parts.share[part : part + 2].tolist())}]
     return max(0, min(of_part[0] + 1, last))
 
 
-def _rows(program: Program, method: Swept, position: int) -> ProgramRows:
-    count = len(program.parts)
-    rules = JoinRules.from_parts(program.parts, program.frequency)
+def _rows(flow_table: FlowTable, method: Swept, position: int) -> Stages:
+    count = len(flow_table.parts)
+    rules = JoinRules.from_parts(flow_table.parts, flow_table.frequency)
     rules = JoinRules(*(np.insert(column, position, False) for column in rules))
-    rows = rows_of(method, rules, program.sign, float)
+    rows = stages_of(method, rules, flow_table.sign, float)
     part = rows.part.astype(np.int64)
     renumbered = np.where(part == position, count, part - (part > position))
     return rows._replace(part=renumbered.astype(np.uint32))
@@ -181,18 +185,18 @@ _AFTER_ALL = np.iinfo(np.int64).max
 
 
 class Places:
-    """Constants of a program to which coefficients of monomials of H are added: offsets, weights, then monomials.
+    """Constants of a flow table to which coefficients of monomials of H are added: offsets, weights, then monomials.
 
     `copied`: those of shares that are copies of terms of H; others, as of completed squares, contain more.
     """
 
-    def __init__(self, program: Program) -> None:
-        terms, forms = program.terms, program.parts.forms
+    def __init__(self, flow_table: FlowTable) -> None:
+        terms, forms = flow_table.terms, flow_table.parts.forms
         weights, monomials = len(terms.offset), len(terms.offset) + len(terms.weight)
         # Rows of one coordinate: their offset has the coefficient of x_i, and their weights those of x_i x_j. Products
         # are omitted only for the coefficients as they are.
-        linear, omitted = terms.kind == LINEAR, program.omitted[:, 0]
-        linear[list(program.parts.bodies)] = False
+        linear, omitted = terms.kind == LINEAR, flow_table.omitted[:, 0]
+        linear[list(flow_table.parts.bodies)] = False
         rows = np.flatnonzero(np.repeat(linear, np.diff(terms.row).astype(np.int64)))
         rows = rows[np.diff(forms.start)[rows] == 1]
         rows = rows[(forms.value[forms.start[rows]] == 1.0) & ~np.isin(rows, omitted)]
@@ -225,14 +229,14 @@ class Places:
         self._code = codes[order]
         self._position = np.stack([first, np.concatenate([second[kept], rest])], axis=1).astype(np.int64)[order]
         self._factor = np.concatenate([factor[kept], np.abs(rest)])[order]
-        copied = program.parts.source != COMPUTED
+        copied = flow_table.parts.source != COMPUTED
         of_rows = np.repeat(copied, np.diff(terms.row).astype(np.int64))
         of_weights = np.repeat(of_rows, np.diff(terms.entry).astype(np.int64))
         of_monomials = np.repeat(copied, np.diff(terms.monomial).astype(np.int64))
         self.copied = np.concatenate([of_rows, of_weights, of_monomials])
         self._casimirs = [
             {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items() if c}
-            for casimir, _ in program.shift
+            for casimir, _ in flow_table.shift
         ]
 
     def of(self, G: EnergyDerivative) -> tuple[Multiples, Multiples, Integers]:

@@ -12,7 +12,7 @@ from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import BodyShare, Form
 from coadjoint.program.parts.split import separated_functions
 from coadjoint.program.sweeps import Swept
-from coadjoint.program.table import Program, build_program
+from coadjoint.program.table import FlowTable, build_flow_table
 from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.terms import Term
@@ -74,11 +74,11 @@ def _subtracted(name: str, factor: float) -> str:
 
 def describe(system: LiePoissonSystem, method: Swept) -> Description:
     """Describe a splitting of a system; the result is printable."""
-    program = build_program(system, method)
+    flow_table = build_flow_table(system, method)
     names = coordinate_names(system)
-    parts = tuple(_describe_part(names, program, number, forms) for number, forms in enumerate(program.parts))
-    first, last = int(program.rows.section[1]), int(program.rows.section[2])
-    step = [parts[int(program.rows.part[row])] for row in range(first, last)]
+    parts = tuple(_describe_part(names, flow_table, number, forms) for number, forms in enumerate(flow_table.parts))
+    first, last = int(flow_table.stages.section[1]), int(flow_table.stages.section[2])
+    step = [parts[int(flow_table.stages.part[row])] for row in range(first, last)]
     return Description(
         system=system.name,
         method=str(method),
@@ -101,13 +101,13 @@ def _sum_found(names: Sequence[str], terms: Sequence[Term]) -> str:
     return "the sum of " + " and ".join([*pieces[:MAX_SHOWN], *more]) if len(pieces) > 1 else "".join(pieces)
 
 
-def _describe_part(names: Sequence[str], program: Program, number: int, forms: Sequence[Form]) -> PartDescription:
+def _describe_part(names: Sequence[str], flow_table: FlowTable, number: int, forms: Sequence[Form]) -> PartDescription:
     blocks: Counter[str] = Counter()
-    action = program.state
+    action = flow_table.state
     for run in range(action.run[number], action.run[number + 1]):
         blocks[BlockKind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
-    acting, shares = action_work(action, number), share_work(program, number)
-    bodies = bodies_of(program, number)
+    acting, shares = action_work(action, number), share_work(flow_table, number)
+    bodies = bodies_of(flow_table, number)
     if bodies:
         acting = 0 if bodies[0].other else acting[0], 0
     multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
@@ -123,10 +123,10 @@ def _body_name(names: Sequence[str], body: BodyShare) -> str:
     return f"bond of {first} and {second}" if second else f"free body of {first}"
 
 
-def bodies_of(program: Program, number: int) -> list[BodyShare]:
+def bodies_of(flow_table: FlowTable, number: int) -> list[BodyShare]:
     """Return the free bodies of one part."""
-    shares = range(int(program.parts.share[number]), int(program.parts.share[number + 1]))
-    return [body for s, body in program.parts.bodies.items() if s in shares]
+    shares = range(int(flow_table.parts.share[number]), int(flow_table.parts.share[number + 1]))
+    return [body for s, body in flow_table.parts.bodies.items() if s in shares]
 
 
 def action_work(action: Action, number: int) -> tuple[int, int]:
@@ -148,17 +148,17 @@ def count_series_blocks(action: Action, number: int) -> int:
     )
 
 
-def share_work(program: Program, number: int) -> tuple[int, int]:
+def share_work(flow_table: FlowTable, number: int) -> tuple[int, int]:
     """Return the multiplications and function calls for the angles of one part."""
-    terms, bodies, multiplications, functions = program.terms, program.parts.bodies, 0, 0
-    for term in range(program.share[number], program.share[number + 1]):
+    terms, bodies, multiplications, functions = flow_table.terms, flow_table.parts.bodies, 0, 0
+    for term in range(flow_table.share[number], flow_table.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])
         if term in bodies:
             work = BOND_WORK if bodies[term].other else BODY_WORK
             multiplications, functions = multiplications + work, functions + 1
         elif terms.kind[term] == LINEAR:
             multiplications += int(terms.entry[rows.stop] - terms.entry[rows.start])
-        elif term in program.functions:
+        elif term in flow_table.functions:
             functions += 1
         else:
             monomials = range(terms.monomial[term], terms.monomial[term + 1])

@@ -1,4 +1,4 @@
-"""Reference interpreter of a program: NumPy, any number type or power series, with the exact tangent map."""
+"""Reference interpreter of a flow table: NumPy, any number type or power series, with the exact tangent map."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from coadjoint.program.actions import Action, generator_entries, rational_angle,
 from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, BlockKind
 from coadjoint.program.generators import Generators
 from coadjoint.program.numbers import array_of, elementary, roundoff
-from coadjoint.program.table import Program
+from coadjoint.program.table import FlowTable
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
 class Interpreter:
-    """Reference interpreter in the number type of the program or the states; slow.
+    """Reference interpreter in the number type of the flow table or the states; slow.
 
     With series truncated after `count` terms as numbers, flows of exact programs are Lie series, which end there.
     """
 
-    def __init__(self, program: Program, number: Any = None) -> None:
-        self.program = program
-        self.number = program.number if number is None else number
+    def __init__(self, flow_table: FlowTable, number: Any = None) -> None:
+        self.flow_table = flow_table
+        self.number = flow_table.number if number is None else number
         self._count: int | None = getattr(self.number, "count", None)
         self.functions: Any = elementary(self.number) if self._count is None else None  # Lie series need none
         self._u = roundoff(self.number)
-        self._is_body_flow = body_flow_parts(program)
+        self._is_body_flow = body_flow_parts(flow_table)
 
     def steps(
         self,
@@ -41,12 +41,12 @@ class Interpreter:
     ) -> Any:
         """Take `count` steps h (negative: backward) from x (n,), not changed; return x, then `group`, `tangent` given.
 
-        `group` (d, d) is in the representation of the program; `tangent` (n, m) has tangent vectors in columns.
+        `group` (d, d) is in the representation of the flow table; `tangent` (n, m) has tangent vectors in columns.
         """
         x = self._converted(x)
         element = None if group is None else self._converted(group).T.copy()
         vectors = None if tangent is None else self._converted(tangent)
-        ends = self.program.rows.section
+        ends = self.flow_table.stages.section
         for k in range(count):
             section = 0 if k == 0 else 1
             self._apply_rows(range(ends[section], ends[section + 1]), x, h, t0 + k * h, element, vectors)
@@ -59,7 +59,7 @@ class Interpreter:
         return array_of(self.number, np.ravel(values)).reshape(np.shape(values)).copy()
 
     def _apply_rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
-        table = self.program.rows
+        table = self.flow_table.stages
         for r in rows:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
@@ -69,17 +69,17 @@ class Interpreter:
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             tangents = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
             theta, tangents = self._rational_angles(part, theta, tangents)
-            self.act(self.program.state, part, theta, x)
-            if group is not None and self.program.group is not None:
-                self.act(self.program.group, part, theta, group)
+            self.act(self.flow_table.state, part, theta, x)
+            if group is not None and self.flow_table.group is not None:
+                self.act(self.flow_table.group, part, theta, group)
             if tangents is not None:
-                self.act(self.program.state, part, theta, tangent)
+                self.act(self.flow_table.state, part, theta, tangent)
                 for angle, change in enumerate(tangents):
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
 
     def _rational_angles(self, part: int, theta: list[Any], tangents: Any) -> tuple[list[Any], Any]:
-        base = int(self.program.terms.row[self.program.share[part]])
-        w = self.program.frequency[base : base + len(theta)]
+        base = int(self.flow_table.terms.row[self.flow_table.share[part]])
+        w = self.flow_table.frequency[base : base + len(theta)]
         if self._count is not None:
             return [rational_angle_series(angle, f, self._count) for angle, f in zip(theta, w, strict=True)], tangents
         if tangents is not None:
@@ -88,7 +88,7 @@ class Interpreter:
 
     def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
         """Return dH/d(l_a.x) for the forms of a part (operation `angle` of the table)."""
-        terms, share = self.program.terms, self.program.share
+        terms, share = self.flow_table.terms, self.flow_table.share
         angles: list[Any] = []
         for k in range(share[part], share[part + 1]):
             rows = range(terms.row[k], terms.row[k + 1])
@@ -101,7 +101,7 @@ class Interpreter:
         return angles
 
     def _angle_tangents(self, part: int, x: NDArray[Any], t: Any, tangent: NDArray[Any]) -> list[NDArray[Any]]:
-        terms, share = self.program.terms, self.program.share
+        terms, share = self.flow_table.terms, self.flow_table.share
         tangents: list[NDArray[Any]] = []
         for k in range(share[part], share[part + 1]):
             rows = range(terms.row[k], terms.row[k + 1])
@@ -116,10 +116,10 @@ class Interpreter:
 
     def _term_derivative(self, k: int, x: NDArray[Any], t: Any, order: int) -> Any:
         """Return the gradient (order 1) or Hessian (order 2) of a term in its own coordinates."""
-        terms = self.program.terms
+        terms = self.flow_table.terms
         coordinates = terms.target[terms.row[k] : terms.row[k + 1]]
         if terms.kind[k] == FUNCTION:
-            return derivative_of(self.program.functions[k], order, x[coordinates], t)
+            return derivative_of(self.flow_table.functions[k], order, x[coordinates], t)
         result = np.full((len(coordinates),) * order, 0 * x[0], dtype=x.dtype)
         for monomial in range(terms.monomial[k], terms.monomial[k + 1]):
             factors = range(terms.factor[monomial], terms.factor[monomial + 1])
@@ -153,7 +153,7 @@ class Interpreter:
 
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (operation `apply` of the table)."""
-        row, column, value = generator_entries(self.program.state, part, angle)
+        row, column, value = generator_entries(self.flow_table.state, part, angle)
         result = 0 * x
         np.add.at(result, row, value * x[column])
         return result
@@ -237,10 +237,10 @@ class Interpreter:
         return sine / w, (2 if z > 0 else -2) * half**2
 
 
-def body_flow_parts(program: Program) -> list[bool]:
+def body_flow_parts(flow_table: FlowTable) -> list[bool]:
     """Test for each part whether it consists of free bodies."""
-    shares = program.parts.bodies
-    return [int(first) in shares for first in program.share[:-1]]
+    shares = flow_table.parts.bodies
+    return [int(first) in shares for first in flow_table.share[:-1]]
 
 
 Vectors = NDArray[Any]
@@ -254,7 +254,7 @@ FlowState = tuple[Vectors, Vectors | None, Vectors | None]
 
 def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow: FlowState) -> None:
     """Apply the flow of free bodies over `tau` in place, by its time series, for angles that are not large."""
-    body = _MovingBodies(interpreter.program, part)
+    body = _MovingBodies(interpreter.flow_table, part)
     count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow[0]) / PIECE)
     for _ in range(count):
         terms = [state_of_flow]
@@ -270,14 +270,14 @@ def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow
 class _MovingBodies:
     """Generators and angular velocities of one part."""
 
-    def __init__(self, program: Program, part: int) -> None:
-        first, last = (program.terms.row[program.share[p]] for p in (part, part + 1))
-        self.terms = program.terms
+    def __init__(self, flow_table: FlowTable, part: int) -> None:
+        first, last = (flow_table.terms.row[flow_table.share[p]] for p in (part, part + 1))
+        self.terms = flow_table.terms
         # The first row of a body has no weights, and is not an angular velocity.
         self.rows = [r for r in range(int(first), int(last)) if self.terms.entry[r] < self.terms.entry[r + 1]]
         angles = [r - int(first) for r in self.rows]
-        self.state = _generators(program.state, part, angles)
-        self.group = None if program.group is None else _generators(program.group, part, angles)
+        self.state = _generators(flow_table.state, part, angles)
+        self.group = None if flow_table.group is None else _generators(flow_table.group, part, angles)
 
     def speed(self, x: Vectors) -> Any:
         """Bound the angular speed of vectors."""

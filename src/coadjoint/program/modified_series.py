@@ -32,7 +32,7 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces, with_hamiltonian_coefficients
 from coadjoint.program.sparse_rows import Rows
 from coadjoint.program.sweeps import Sweep, Swept
-from coadjoint.program.table import Program, build_program
+from coadjoint.program.table import FlowTable, build_flow_table
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_ESTIMATED_DIMENSION = 1500
@@ -107,16 +107,18 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict
     return coefficients, radius, neglected
 
 
-def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
-    """Return the Lie series of a step by a program; for the arguments see `composition_logarithm`."""
-    rational = bool(np.any(program.frequency != 0))
-    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)
+def coordinates_of(
+    flow_table: FlowTable, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int
+) -> Coordinates:
+    """Return the Lie series of a step by a flow table; for the arguments see `composition_logarithm`."""
+    rational = bool(np.any(flow_table.frequency != 0))
+    return composition_logarithm(sweeps, after, highest, order=order, parts=len(flow_table.parts), rational=rational)
 
 
 def modified_terms(
     ring: ExactPolynomials,
     system: LiePoissonSystem,
-    program: Program,
+    flow_table: FlowTable,
     coordinates: Coordinates,
     weights: Iterable[int],
     H: Polynomial | None = None,
@@ -130,13 +132,13 @@ def modified_terms(
     nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(nonzero, default=1)
     if highest > 1:
-        _check_cost(system, program, highest)
+        _check_cost(system, flow_table, highest)
     elif not factors:
         return {}, 0.0, coordinates.neglected
-    polynomials = [ring.about_point(piece) for piece in part_polynomials(ring, program.parts)]
-    if H is not None and not program.shift:
-        polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
-    rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
+    polynomials = [ring.about_point(piece) for piece in part_polynomials(ring, flow_table.parts)]
+    if H is not None and not flow_table.shift:
+        polynomials = with_hamiltonian_coefficients(ring, flow_table.parts, polynomials, H, factors)
+    rotation_terms = rational_pieces(ring, flow_table.parts, flow_table.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(polynomials, rotation_terms, strict=True)]
     bracket = nested_brackets(Commutators(ring, system.sign), flows, highest)
     of_power: dict[int, Polynomial] = {}
@@ -149,9 +151,9 @@ def modified_terms(
     return of_power, radius, neglected
 
 
-def _check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
+def _check_cost(system: LiePoissonSystem, flow_table: FlowTable, highest: int) -> None:
     """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
-    count = estimated_products(system.algebra, program.parts, highest)
+    count = estimated_products(system.algebra, flow_table.parts, highest)
     check_products(count)
     warn_if_long("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
 
@@ -236,7 +238,7 @@ def _monomials_per_coordinate(second: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:
     """Return H_p of a scheme of order p, whose step is the flow of H + h^p H_p + ..."""
-    program = build_program(system, method)
-    coordinates = coordinates_of(program, *exact_sweeps(method), order + 1, order)
-    terms, _, _ = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
+    flow_table = build_flow_table(system, method)
+    coordinates = coordinates_of(flow_table, *exact_sweeps(method), order + 1, order)
+    terms, _, _ = modified_terms(ExactPolynomials(system.algebra), system, flow_table, coordinates, [order + 1])
     return terms.get(order, Polynomial({}, dim=system.dim))

@@ -16,7 +16,7 @@ from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.sources import Multiples, concatenated, products_of
 from coadjoint.program.sparse_rows import starts_of
-from coadjoint.program.table import Program
+from coadjoint.program.table import FlowTable
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.coefficients import Key, coefficients_of
 from coadjoint.systems.energy_derivatives import DerivativeMonomial, EnergyDerivative
@@ -35,26 +35,26 @@ DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 """Arrays that depend on the energy, in the order of positions in `Places`."""
 
 
-def mapping_of(program: Program) -> dict[str, Any]:
-    """Return a program as arrays, numbers, lists and mappings by name."""
-    rows, terms = program.rows, program.terms
+def mapping_of(flow_table: FlowTable) -> dict[str, Any]:
+    """Return a flow table as arrays, numbers, lists and mappings by name."""
+    rows, terms = flow_table.stages, flow_table.terms
     table: dict[str, Any] = {
         "version": VERSION,
-        "dim": int(program.state.size),
+        "dim": int(flow_table.state.size),
         "section": rows.section,
         "part": rows.part,
         "coefficient": rows.coefficient,
         "moment": rows.moment,
-        "share": program.share,
-        "frequency": np.array(program.frequency),
+        "share": flow_table.share,
+        "frequency": np.array(flow_table.frequency),
         **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in PUBLIC_COLUMNS},
-        **_blocks("state", program.state, program),
-        "functions": sorted(int(k) for k in program.functions),
-        "bodies": sorted(program.parts.bodies),
-        **_provenance(program),
+        **_blocks("state", flow_table.state, flow_table),
+        "functions": sorted(int(k) for k in flow_table.functions),
+        "bodies": sorted(flow_table.parts.bodies),
+        **_provenance(flow_table),
     }
-    if program.group is not None:
-        table |= _blocks("group", program.group, program)
+    if flow_table.group is not None:
+        table |= _blocks("group", flow_table.group, flow_table)
     return {name: _with_long_integers(value) for name, value in table.items()}
 
 
@@ -64,13 +64,13 @@ def _with_long_integers(value: Any) -> Any:
     return value
 
 
-def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
+def _blocks(name: str, action: Action, flow_table: FlowTable) -> dict[str, Any]:
     """Return the blocks of all parts in the order of application, with their constants and entries of D."""
     angles: list[int] = []
     entries: list[tuple[int, int, int, int, Any]] = []
     kinds, lengths, degrees, count = [], [], [], [0]
     constants: list[tuple[Any, Any, Any]] = []
-    for part in range(len(program.parts)):
+    for part in range(len(flow_table.parts)):
         for run in range(int(action.run[part]), int(action.run[part + 1])):
             for q in range(int(action.angles[run])):
                 angle = int(action.angle[run]) + q
@@ -96,7 +96,7 @@ def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
     }
     others = dict(zip(("value", "mean", "lambda", "norm"), (columns[4], *numbers), strict=True))
     return {f"{name}_{label}": np.array(column, dtype=np.int64) for label, column in integers.items()} | {
-        f"{name}_{label}": _numbers(program.number, column) for label, column in others.items()
+        f"{name}_{label}": _numbers(flow_table.number, column) for label, column in others.items()
     }
 
 
@@ -132,30 +132,31 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
     }
 
 
-def _provenance(program: Program) -> dict[str, Any]:
+def _provenance(flow_table: FlowTable) -> dict[str, Any]:
     """Return the coefficients of the energy, the numbers that depend on them, the Casimirs, and the parameters."""
-    described = energy_and_parameters(program.system)
+    described = energy_and_parameters(flow_table.system)
     casimirs = [
-        {tuple(factors_of(exponents)): float(c) for exponents, c in one.monomials.items()} for one, _ in program.shift
+        {tuple(factors_of(exponents)): float(c) for exponents, c in one.monomials.items()}
+        for one, _ in flow_table.shift
     ]
     known = [tuple(key) for key in described["energy"]["monomials"]]
     keys: list[Key] = [*dict.fromkeys([*known, *(key for casimir in casimirs for key in casimir)])]
     values = np.append(described["energy"]["coefficients"], np.zeros(len(keys) - len(known)))
     rest, number = values.copy(), {key: k for k, key in enumerate(keys)}
-    for casimir, (_, factor) in zip(casimirs, program.shift, strict=True):
-        for key, c in casimir.items() if not program.parts.bodies else ():
+    for casimir, (_, factor) in zip(casimirs, flow_table.shift, strict=True):
+        for key, c in casimir.items() if not flow_table.parts.bodies else ():
             rest[number[key]] -= factor * c
-    arrays = [program.terms.offset, program.terms.weight, program.terms.coefficient]
+    arrays = [flow_table.terms.offset, flow_table.terms.weight, flow_table.terms.coefficient]
     constants, starts = np.concatenate(arrays), starts_of(np.array([*map(len, arrays)]))
-    places, each = Places(program), [DerivativeMonomial(key, k, 1.0) for k, key in enumerate(keys)]
+    places, each = Places(flow_table), [DerivativeMonomial(key, k, 1.0) for k, key in enumerate(keys)]
     found, shifts, missing = places.of(EnergyDerivative.of_monomials(len(keys), each))
-    of_bodies = _weights_of_bodies(program, {keys[k]: k for k in missing.tolist()})
+    of_bodies = _weights_of_bodies(flow_table, {keys[k]: k for k in missing.tolist()})
     follows = np.ones(len(keys), dtype=bool)
     follows[[*missing, *found.number[~places.copied[found.position]]]] = False
     follows[of_bodies.number] = True
     removed: dict[int, int] = {}
     for k, monomial in zip(shifts.position.tolist(), shifts.number.tolist(), strict=True):
-        follows[monomial] &= program.shift[k][1] == values[monomial] / casimirs[k][keys[monomial]]
+        follows[monomial] &= flow_table.shift[k][1] == values[monomial] / casimirs[k][keys[monomial]]
         removed |= {k: monomial} if follows[monomial] else {}
     found = concatenated([found.take(~np.isin(found.number, shifts.number)), of_bodies])
     # Monomials of several terms have other coefficients in each.
@@ -183,16 +184,16 @@ def _provenance(program: Program) -> dict[str, Any]:
                 "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
                 "coefficients": list(casimir.monomials.values()),
             }
-            for k, (casimir, factor) in enumerate(program.shift)
+            for k, (casimir, factor) in enumerate(flow_table.shift)
         ],
     }
 
 
-def _weights_of_bodies(program: Program, number: Mapping[Key, int]) -> Multiples:
+def _weights_of_bodies(flow_table: FlowTable, number: Mapping[Key, int]) -> Multiples:
     """Return the weights of free bodies, which are entries of M, as multiples of the monomials of these numbers."""
     found: list[tuple[int, int, float]] = []
-    terms, forms = program.terms, program.parts.forms
-    for share, body in program.parts.bodies.items():
+    terms, forms = flow_table.terms, flow_table.parts.forms
+    for share, body in flow_table.parts.bodies.items():
         if body.other is None:
             rows = np.arange(*terms.row[share : share + 2].tolist())
             entries, i, j = products_of(terms, rows, forms.coordinate[forms.start[rows]].astype(np.int64))

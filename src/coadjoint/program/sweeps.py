@@ -1,4 +1,4 @@
-"""Sweeps through the parts of a Hamiltonian, and the rows of a program: the flows in order of application."""
+"""Sweeps through the parts of a Hamiltonian, and the stages of a flow table: its flows in order of application."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ class Swept(Protocol):
         """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K."""
 
 
-class ProgramRows(NamedTuple):
-    """Row r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h.
+class Stages(NamedTuple):
+    """Stage r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h.
 
-    Section s has rows section[s] to section[s + 1]: first step, every other step, and the finish before output.
+    Section s has stages section[s] to section[s + 1]: first step, every other step, and the finish before output.
     """
 
     part: NDArray[np.uint32]
@@ -90,7 +90,7 @@ class JoinRules(NamedTuple):
 
     @classmethod
     def from_parts(cls, parts: Parts, frequency: NDArray[Any]) -> JoinRules:
-        """Construct the rules from the parts of a program and the frequencies of their angles."""
+        """Construct the rules from the parts of a flow table and the frequencies of their angles."""
         rational = np.zeros(len(parts), dtype=bool)
         if np.any(frequency):
             rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True
@@ -112,7 +112,7 @@ class JoinRules(NamedTuple):
         return Flows(flows.part, coefficient, flows.moment, turn).take(keep)
 
 
-def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> ProgramRows:
+def stages_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Stages:
     """Return the rows of a method, with consecutive flows of one part joined, also across steps."""
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
@@ -128,13 +128,13 @@ def _cached_rows(
     sign: int,
     number: Number,
     precision: int | None,
-) -> ProgramRows:
+) -> Stages:
     return _rows(sweeps, processor, joining.source, sign, number)
 
 
 def _rows(
     sweeps: Sequence[Sweep], processor_sweeps: Sequence[Sweep], joining: JoinRules, sign: int, number: Number
-) -> ProgramRows:
+) -> Stages:
     kernel = joining.joined(_flows(sweeps, len(joining.timed), number))
     processor = joining.joined(_flows(processor_sweeps, len(joining.timed), number))
     inverse_processor = processor.take(slice(None, None, -1))
@@ -152,7 +152,7 @@ def _rows(
     start, finish = joining.joined(start), joining.joined(finish)
     rows = start.followed_by(step).followed_by(finish)
     ends = np.cumsum([0, len(start.part), len(step.part), len(finish.part)])
-    return ProgramRows(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
+    return Stages(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
 
 
 def _flows(sweeps: Sequence[Sweep], parts: int, number: Number) -> Flows:

@@ -1,4 +1,4 @@
-"""Program: a table of elementary flows in three sections, with their angles and actions; export as plain arrays."""
+"""A flow table: the sub-flows of a splitting in three sections, with their angles and actions; export as arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
-from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
+from coadjoint.program.sweeps import JoinRules, Stages, Swept, stages_of
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -35,15 +35,15 @@ MIN_REPEATED_ROWS = 256
 
 
 @dataclass(frozen=True)
-class Program:
-    """A splitting of one system as plain arrays, for compiled and Python interpreters: rows, parts, shares, actions.
+class FlowTable:
+    """A splitting compiled to a list of sub-flows exp(a_i h X_i), as plain arrays for compiled and Python interpreters.
 
-    `frequency`: of rational rotations, else 0 (exact programs: squared); `omitted`: entries (angle, row, column) whose
+    `frequency`: of rational rotations, else 0 (exact numbers: squared); `omitted`: entries (angle, row, column) whose
     products cancel; `shift`: Casimirs and factors subtracted from H.
     """
 
     system: LiePoissonSystem
-    rows: ProgramRows
+    stages: Stages
     parts: Parts
     table: TermTable
     share: NDArray[np.uint32]
@@ -70,12 +70,12 @@ class Program:
     def to_mapping(self) -> dict[str, Any]:
         """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
 
-        Arrays are of int64, or of the number type of the program. As lists they can be written to JSON.
+        Arrays are of int64, or of the number type of the flow table. As lists they can be written to JSON.
 
         Examples
         --------
         >>> import coadjoint as co
-        >>> table = co.Splitting(order=2).program(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
+        >>> table = co.Splitting(order=2).flow_table(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
         >>> table["part"].tolist(), table["section"].tolist()
         ([0, 1, 0, 1, 0], [0, 2, 4, 5])
         >>> [table[name].tolist() for name in ("state_part", "state_row", "state_column", "state_value")]
@@ -86,13 +86,13 @@ class Program:
         return mapping_of(self)
 
 
-def build_program(
+def build_flow_table(
     system: LiePoissonSystem,
     method: Swept,
     *,
     group: NDArray[Any] | str | None = None,
     number: Number = float,
-) -> Program:
+) -> FlowTable:
     """Build the table of a splitting method; `group` is the representation (n, d, d), "coadjoint", or None."""
     try:
         decomposition = decompose(system, method.parts)
@@ -112,9 +112,9 @@ def build_program(
     frequency = zeros if number is float else array_of(number, zeros)
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
-    return Program(
+    return FlowTable(
         system=system,
-        rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
+        stages=stages_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
         table=table,
         share=parts.share.astype(np.uint32),
@@ -158,10 +158,10 @@ def term_table(parts: Parts) -> TermTable:
     return table
 
 
-def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
-    """Return a function, without the program, for its sources with these terms, by the paths of `Terms`."""
-    fixed = program.system, program.parts, program.choice.shift
-    plain = not len(program.omitted) and not np.any(program.frequency)
+def recorded_sources(flow_table: FlowTable, terms: Terms) -> Callable[[], Sources]:
+    """Return a function, without the flow table, for its sources with these terms, by the paths of `Terms`."""
+    fixed = flow_table.system, flow_table.parts, flow_table.choice.shift
+    plain = not len(flow_table.omitted) and not np.any(flow_table.frequency)
 
     def sources() -> Sources:
         system, parts, shift = fixed
@@ -180,9 +180,9 @@ def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
     return sources
 
 
-def dual_action(algebra: LieAlgebra, program: Program) -> Action:
+def dual_action(algebra: LieAlgebra, flow_table: FlowTable) -> Action:
     """Return the action on cotangents of the state, by floating-point numbers."""
-    return _state_action(algebra, program.parts, program.omitted, float, dual=True)
+    return _state_action(algebra, flow_table.parts, flow_table.omitted, float, dual=True)
 
 
 def _state_action(

@@ -40,6 +40,7 @@ Values = Callable[[NDArray[np.int64], Floats], Floats]
 Failures = dict[int, tuple[int, tuple[str, float, str]]]
 """Members that failed during the location of crossings: their step, and status, residual and reason of the failure."""
 
+FIRST_PIECE = 256  # steps, few because an event may end a run soon
 # Most steps of a chunk.
 MAX_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28

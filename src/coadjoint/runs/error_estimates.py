@@ -264,7 +264,7 @@ def deviations_of(solution: Solution) -> list[Deviation]:
     """Return the deviations that are large beside the invariants at the start, of some members for each invariant."""
     balanced, found = bool(solution.work), []
     first = 1 + len(solution.casimirs) if balanced else 0
-    accounted = {invariant for _, invariant in solution._accounts}
+    accounted = {invariant for _, invariant in solution._work_integrals}
     sizes = np.abs([np.atleast_1d(initial) for initial in solution.initial.values()])
     worst = solution._worst[..., first : first + len(sizes)].max(axis=-2).reshape(-1, len(sizes)).T
     ratios = np.nan_to_num(worst / sizes, nan=0.0, posinf=np.inf)

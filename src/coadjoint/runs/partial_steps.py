@@ -282,7 +282,7 @@ class PartialSteps:
 
     def _failure(self, result: StepResult, row: int, owner: int, start: float, length: float) -> IntegrationError:
         residual = float(result.residual[row])
-        reason = failure_text(status_name(result.status[row]), self.method, residual, bool(self.loops.accounts))
+        reason = failure_text(status_name(result.status[row]), self.method, residual, bool(self.loops.work_integrals))
         return IntegrationError(
             f"in a part of a step, of length {length:g} from t = {start:g}, {reason} for member {owner}; "
             "take a smaller step",

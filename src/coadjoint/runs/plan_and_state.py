@@ -51,7 +51,7 @@ class Plan:
         self.layout = loops.layout(members, times.points, square)
         check_run_memory(self.layout, times, members)
         self.rounds = loops.rounds(members, workers)
-        special = loops.rows or loops.matrices is not None or loops.order is not None or loops.accounts or square
+        special = loops.rows or loops.matrices is not None or loops.order is not None or loops.work_integrals or square
         small = self.layout.state.size <= MAX_STATE_NUMBERS
         self.is_short = small and workers == 1 and not special and len(self.rounds) == len(self.rounds[0]) == 1
         self.shared: dict[str, Any] = {
@@ -63,7 +63,7 @@ class Plan:
             "_layout": self.layout,
             "_saved_points": times.points,
             "_names": loops.names,
-            "_accounts": loops.accounts,
+            "_accounts": loops.work_integrals,
             "_corrected_groups": loops.corrected_groups,
         }
         self._set_schedule()
@@ -162,7 +162,7 @@ class State:
         if layout.extent.size == momenta.shape[1]:
             arrays.numbers[arrays.offsets.slices["momenta"]] = momenta.ravel()
         else:
-            # Accounts follow the coordinates, and start at zero.
+            # Work integrals follow the coordinates, and start at zero.
             arrays["momenta"][:, : momenta.shape[1]] = momenta
         if layout.extent.square:
             arrays["groups"][:] = groups

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -62,7 +63,6 @@ if TYPE_CHECKING:
     from coadjoint.runs.derivatives.forward import Tangents
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
-FIRST_WITH_EVENTS = 256  # steps, few because an event may end a run soon
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
 
 
@@ -539,7 +539,8 @@ class PreparedRun(Immutable):
         """Integrate, and return a function for gradients by x0 and, at fixed x0, all parameters (reverse mode).
 
         The steps are differentiated backward, from checkpoints between which they are repeated. A gradient costs a few
-        times as much as the run, for any number of parameters, and little memory for any number of steps.
+        times as much as the run, for any number of parameters, and little memory for any number of steps. The notes of
+        `jvp` say what the derivative by a parameter is.
 
         Parameters
         ----------
@@ -573,10 +574,6 @@ class PreparedRun(Immutable):
             For a system or a scheme whose runs are not differentiable, by name.
         IntegrationError
             As in `integrate`, and by the pullback for derivatives that overflow.
-
-        See Also
-        --------
-        jvp : Derivatives along given directions; its notes say what the derivative by a parameter is.
 
         Examples
         --------
@@ -688,15 +685,13 @@ class PreparedRun(Immutable):
         observed = self.observed(start)
         try:
             if events:
-                from coadjoint.runs.crossings import EventRun
+                from coadjoint.runs.crossings import FIRST_PIECE, EventRun
 
                 located = EventRun(run, self.watched(events, start.momenta[0], times.t0))
-                for _ in in_pieces(located, times.steps, FIRST_WITH_EVENTS, progress, timed=progress):
-                    pass
+                deque(in_pieces(located, times.steps, FIRST_PIECE, progress, timed=progress), 0)
                 located.close()
             else:
-                for _ in in_pieces(run, times.steps, 1 if progress else times.steps, progress, timed=progress):
-                    pass
+                deque(in_pieces(run, times.steps, 1 if progress else times.steps, progress, timed=progress), 0)
         except KeyboardInterrupt as stopped:
             run.describe_interrupt(stopped, observed)
             raise

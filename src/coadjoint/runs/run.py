@@ -266,7 +266,7 @@ class Run:
 
             cause = cause_of_failure(self, member, step) if status in ("OVERFLOWED", "UNDEFINED") else None
             reason, advice = cause or (
-                failure_text(status, self.plan.method, residual, bool(self.loops.accounts)),
+                failure_text(status, self.plan.method, residual, bool(self.loops.work_integrals)),
                 self._advice(member, step, status),
             )
             message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"

@@ -1,4 +1,4 @@
-"""Fast path for a single trajectory: one kernel call whose buffer becomes the `Solution`, or only its last state."""
+"""Single trajectories of few steps: one kernel call whose buffer becomes the `Solution`, or its last state alone."""
 
 from __future__ import annotations
 
@@ -118,9 +118,9 @@ class FinalStateRun:
             return None
         self._loops, self._numbers = loops, np.zeros(layout.size)
         saved, state = layout.saved_in(self._numbers), layout.state_in(self._numbers)
-        # Accounts follow the coordinates, and start at zero.
+        # Work integrals follow the coordinates, and start at zero.
         dim = prepared.system.dim
-        self._clear = state["momenta"].fill if loops.accounts else None
+        self._clear = state["momenta"].fill if loops.work_integrals else None
         self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
         self._evaluations = state["evaluations"]
         self._layout, self._schedule = layout, ctypes.create_string_buffer(SCHEDULE_BYTES)

@@ -159,7 +159,7 @@ def test_rounding_bound_of_plain_and_compensated_sums(order, compensated):
     there = co.integrate(BODY, states, (0, span), step, method, watch=False).x[-1]
     back = co.integrate(BODY, there, (span, 0), step, method, watch=False).x[-1]
     found = np.max(np.linalg.norm(back - states, axis=1) / np.linalg.norm(states, axis=1))
-    pilot, rows = Pilot(BODY, states, 0.0, span), method.program(BODY).rows.section
+    pilot, rows = Pilot(BODY, states, 0.0, span), method.flow_table(BODY).stages.section
 
     def model(compensated, steps=4096, windows=pilot.windows):
         return roundoff(pilot, steps, int(rows[2] - rows[1]), compensated, windows)
@@ -199,7 +199,7 @@ def test_rounding_model_is_accurate_within_a_factor(span, step):
     methods = [co.Splitting(order=4, compensated=compensated) for compensated in (False, True)]
     plain, exact = (co.integrate(BODY, states, (0, span), step, method, watch=False).x[-1] for method in methods)
     found = np.linalg.norm(plain - exact, axis=1) / np.linalg.norm(states, axis=1)
-    rows, pilot = methods[0].program(BODY).rows.section, Pilot(BODY, states, 0.0, span)
+    rows, pilot = methods[0].flow_table(BODY).stages.section, Pilot(BODY, states, 0.0, span)
     expected = roundoff(pilot, round(span / step), int(rows[2] - rows[1]), False, pilot.windows)
     # Not below what is there, and above the root mean square by no more than it takes to be on the safe side.
     assert np.max(found) <= expected <= 50 * math.sqrt(np.mean(found**2))

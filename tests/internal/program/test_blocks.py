@@ -11,7 +11,7 @@ from coadjoint.program.block_table import block_table
 from coadjoint.program.blocks import RULES, Block, BlockKind
 from coadjoint.program.generators import Generators
 from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.table import build_program
+from coadjoint.program.table import build_flow_table
 from commuting_actions import acting
 from cubic_blocks import cubic_bound
 from drawn_matrices import constants_of, whole_matrix
@@ -30,13 +30,13 @@ def turning(algebra, coordinates):
 
 
 def reading_of(algebra, *coordinates):
-    read = Interpreter(build_program(turning(algebra, coordinates), co.Splitting(order=1)))
-    assert len(read.program.parts) == 1
+    read = Interpreter(build_flow_table(turning(algebra, coordinates), co.Splitting(order=1)))
+    assert len(read.flow_table.parts) == 1
     return read
 
 
 def kinds_of(read):
-    return {BlockKind(k) for k in read.program.state.kind}
+    return {BlockKind(k) for k in read.flow_table.state.kind}
 
 
 def entries(matrix):
@@ -131,8 +131,8 @@ def exponential_bound(D, theta):
 
 def error_of(read, D, x, theta):
     n = len(D)
-    y = np.concatenate([x, np.zeros(read.program.state.size - n)])
-    read.act(read.program.state, 0, [theta], y)
+    y = np.concatenate([x, np.zeros(read.flow_table.state.size - n)])
+    read.act(read.flow_table.state, 0, [theta], y)
     with mpmath.workdps(60):
         exact = exact_exponential(D, theta) * mpmath.matrix(x.tolist())
         return float(max(abs(mpmath.mpf(float(a)) - b) for a, b in zip(y[:n], exact, strict=True)))
@@ -173,9 +173,9 @@ def test_blocks_that_differ_in_one_constant_have_their_own(kind):
         for block, place in zip(blocks, places, strict=True):
             D[np.ix_(place, place)] = block
         system, method = turning(acting(D), [len(D)]), co.Splitting(order=1, parts="coordinates")
-        read = Interpreter(build_program(system, method))
+        read = Interpreter(build_flow_table(system, method))
         assert kinds_of(read) == {kind}
-        row, column, value = (each.tolist() for each in generator_entries(read.program.state, 0, 0))
+        row, column, value = (each.tolist() for each in generator_entries(read.flow_table.state, 0, 0))
         assert dict(zip(zip(row, column, strict=True), value, strict=True)) == entries(D)
         x = rng.uniform(-1, 1, len(D) + 1)
         x[-1] = 1.0
@@ -251,6 +251,6 @@ def test_generators_of_one_part_act_as_their_sum():
         x = np.random.default_rng(9).uniform(-1, 1, algebra.dim)
         x[pair] = u[pair] = theta
         y = x.copy()
-        read.act(read.program.state, 0, theta, y)
+        read.act(read.flow_table.state, 0, theta, y)
         exact = np.array(exact_exponential(algebra.coadjoint(u), 1.0).tolist(), dtype=float)
         assert np.abs(y - exact @ x).max() <= 256 * U * max(1.0, np.linalg.norm(exact)), (algebra, pair)

@@ -11,7 +11,7 @@ import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.second_order import part_derivatives
-from coadjoint.program.table import build_program
+from coadjoint.program.table import build_flow_table
 from drawn_matrices import constants_of
 
 
@@ -122,7 +122,7 @@ def check_step(system, choice, x, h):
     assert np.abs(pieces - expected).max() <= 2.0**-40  # squares amplify rounding by at most some hundreds
     wanted, moved, size = dense_step(system, parts, x, np.eye(n), h)
     method = co.Splitting(order=2, parts=choice)
-    end, group = Interpreter(build_program(system, method, group="coadjoint")).steps(x, h, 1, group=np.eye(n))
+    end, group = Interpreter(build_flow_table(system, method, group="coadjoint")).steps(x, h, 1, group=np.eye(n))
     # Rounding of each flow, amplified by all: n products in a sum, some dozens in the series of expm.
     tolerance = 64 * n * len(parts) * U * size
     assert np.abs(end - wanted).max() <= tolerance

@@ -10,7 +10,7 @@ from scipy.sparse import diags_array
 import coadjoint as co
 from coadjoint.program.modified_series import estimated_products
 from coadjoint.program.parts.split import split
-from coadjoint.program.table import build_program
+from coadjoint.program.table import build_flow_table
 
 SO3 = co.algebras.so(3)
 
@@ -39,10 +39,10 @@ def calls(make):
         nonlocal counted
         counted += event in ("call", "c_call")
 
-    build_program(make(), co.Splitting())  # nothing is loaded for the first time while counting
+    build_flow_table(make(), co.Splitting())  # nothing is loaded for the first time while counting
     sys.setprofile(count)
     try:
-        build_program(system, co.Splitting())
+        build_flow_table(system, co.Splitting())
     finally:
         sys.setprofile(None)
     return counted
@@ -68,7 +68,7 @@ def test_memory_grows_with_the_number_of_spins(choice):
     def peak(count):
         algebra, H = co.algebras.copies(SO3, count), co.Quadratic(np.tile([1.0, 0.5, 0.25], count))
         tracemalloc.start()
-        build_program(co.LiePoissonSystem(algebra, H), co.Splitting(parts=choice))
+        build_flow_table(co.LiePoissonSystem(algebra, H), co.Splitting(parts=choice))
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most
@@ -77,7 +77,7 @@ def test_memory_grows_with_the_number_of_spins(choice):
 
 
 def test_tables_are_lean():
-    program = build_program(spins(2000), co.Splitting())
+    program = build_flow_table(spins(2000), co.Splitting())
     n = 6000
     state, terms = program.state, program.terms
     assert len(state.kind) == 3  # one run for each part

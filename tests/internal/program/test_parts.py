@@ -14,7 +14,7 @@ from coadjoint.algebra.catalogue import entries
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
-from coadjoint.program.table import build_program
+from coadjoint.program.table import build_flow_table
 from drawn_matrices import whole_matrix
 from guards import bounded_work
 
@@ -137,12 +137,12 @@ def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
     number = float if functions else mpmath.mpf
     tolerance = 16 * s.dim * 2.0**-53 if functions else 1e-36  # functions of floats; or 40 digits less a few roundings
     with mpmath.workdps(40):
-        read = Interpreter(build_program(s, co.Splitting(parts=choice), number=number))
+        read = Interpreter(build_flow_table(s, co.Splitting(parts=choice), number=number))
         for seed in range(3):
             x = np.random.default_rng(seed).uniform(-1, 1, s.dim)
             x = x if functions else np.array([mpmath.mpf(v) for v in x])
             total, size = [0 * x[0]] * s.dim, [0 * x[0]] * s.dim
-            for p, part in enumerate(read.program.parts):
+            for p, part in enumerate(read.flow_table.parts):
                 angles = read.angles(p, x, 0.25)
                 assert len(angles) == len(part)
                 for angle, form in zip(angles, part, strict=True):
@@ -151,7 +151,7 @@ def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
                         term = angle * (x[0] * 0 + exact.numerator) / exact.denominator
                         total[i], size[i] = total[i] + term, size[i] + abs(term)
             gradient = s.hamiltonian.gradient(x, 0.25)
-            for casimir, factor in read.program.shift:
+            for casimir, factor in read.flow_table.shift:
                 gradient = gradient - number(factor) * casimir.gradient(x)
                 tolerance = 16 * s.dim * 2.0**-53  # the entries of the shifted M are floats
             assert all(abs(a - b) <= tolerance * (c + abs(b)) for a, b, c in zip(total, gradient, size, strict=True))
@@ -163,7 +163,7 @@ def test_any_lattice_of_spins_has_three_parts(count):
     s = co.LiePoissonSystem(co.algebras.copies(SO3, count), lattice(count))
     with bounded_work():
         parts = split(s)
-        program = build_program(s, co.Splitting(order=2))
+        program = build_flow_table(s, co.Splitting(order=2))
     assert [sorted(i for (i,), _ in part) for part in parts] == [list(range(axis, 3 * count, 3)) for axis in range(3)]
     assert len(program.state.kind) == 3  # one run for each part, however many spins
 

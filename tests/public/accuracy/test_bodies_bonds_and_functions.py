@@ -307,12 +307,12 @@ def test_a_large_lattice_goes_without_its_attitude():
     total = np.abs(run.x.reshape(3, 700, 3).sum(axis=1) - x0.reshape(700, 3).sum(axis=0)).max()
     assert total <= 2.0**6 * U * np.sqrt(700)
     with refused(ValueError, "too many terms", "attitude"):
-        method.program(chain, group=np.zeros((2100, 2, 2)))
+        method.flow_table(chain, group=np.zeros((2100, 2, 2)))
 
 
 def is_bond(system):
     try:
-        co.Splitting(parts="bonds").program(system)
+        co.Splitting(parts="bonds").flow_table(system)
     except ValueError as error:
         assert "no isotropic coupling" in str(error)
         return False

@@ -108,7 +108,7 @@ SCALE = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
 
 def norm_of(system):
     """The time in which the series goes one substep far is its inverse."""
-    table = co.Splitting(order=1).program(system).to_mapping()
+    table = co.Splitting(order=1).flow_table(system).to_mapping()
     assert table["state_kind"].tolist() == [SERIES]
     return float(table["state_norm"][0])
 

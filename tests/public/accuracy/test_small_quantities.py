@@ -45,7 +45,7 @@ def flow_of(algebra, form, x, time):
 def is_rational(system, parts="coordinates"):
     """Whether rational rotations are Poisson maps for a system, in the judgement of the library."""
     try:
-        co.Splitting(order=2, rotation="rational", parts=parts).program(system)
+        co.Splitting(order=2, rotation="rational", parts=parts).flow_table(system)
     except ValueError as refusal:
         assert "would not be a Poisson map" in str(refusal)
         return False

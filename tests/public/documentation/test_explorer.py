@@ -83,7 +83,7 @@ def test_formulas_of_energies_are_those_of_the_systems(shown, random):
 def test_flows_of_a_typed_algebra_are_those_of_its_splitting():
     system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.0, 0.5]))
     for order in (2, 4):
-        program = co.Splitting(order=order, parts="coordinates").program(system).to_mapping()
+        program = co.Splitting(order=order, parts="coordinates").flow_table(system).to_mapping()
         rows = rows_of_parts()[f"splitting{order}"][1]
         assert np.array_equal(rows["part"], program["part"]) and np.array_equal(rows["section"], program["section"])
         assert np.array_equal(rows["tau"], program["coefficient"])

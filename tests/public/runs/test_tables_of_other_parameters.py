@@ -112,7 +112,7 @@ def differences(found, wanted):
 def program_of(scheme, system):
     """The table of a scheme with the group element; None if the system has no such parts."""
     try:
-        return scheme.program(system, group="coadjoint")
+        return scheme.flow_table(system, group="coadjoint")
     except (TypeError, ValueError):
         return None
 
@@ -157,7 +157,7 @@ def test_tables_at_other_parameters_are_those_of_the_library(page, name, scheme)
                 rules = {**table, "fixed": []}
                 assert differences(page["with_coefficients"](rules, energy), automatic), (label, value)
                 continue
-            wanted = with_parts(scheme, program, found["shift"]).program(changed, group="coadjoint").to_mapping()
+            wanted = with_parts(scheme, program, found["shift"]).flow_table(changed, group="coadjoint").to_mapping()
             assert differences(found, wanted) == set(), (label, value)
             # With the same choice of parts, also the factors are those that the library chooses.
             numbers = {*table["provenance"], "shift"}
@@ -166,7 +166,7 @@ def test_tables_at_other_parameters_are_those_of_the_library(page, name, scheme)
 
 
 def test_the_library_chooses_the_factors_of_shifts_by_the_rules_of_the_page(page):
-    tables = [co.Splitting().program(co.systems.rigid_body((1.0, i, 3.0))).to_mapping() for i in (2.0, 2.1)]
+    tables = [co.Splitting().flow_table(co.systems.rigid_body((1.0, i, 3.0))).to_mapping() for i in (2.0, 2.1)]
     assert [shift["monomial"] is not None for shift in tables[0]["shift"]] == [True]
     found = page["with_coefficients"](tables[0], energy_in(*tables))
     assert found["shift"][0]["factor"] == tables[1]["shift"][0]["factor"] != tables[0]["shift"][0]["factor"]
@@ -181,7 +181,7 @@ def test_factors_that_were_given_are_numbers(page):
         (0.2, 3, None, []),
     ):
         scheme = co.Splitting(parts={"order": tuple(range(parts)), "shift": {"|x|^2": factor}})
-        table = scheme.program(co.systems.rigid_body()).to_mapping()
+        table = scheme.flow_table(co.systems.rigid_body()).to_mapping()
         assert ([shift["monomial"] for shift in table["shift"]], table["fixed"]) == ([monomial], fixed)
 
 
@@ -206,14 +206,14 @@ FOLLOWED = {
 def test_parameters_that_tables_follow():
     for (name, scheme), parameters in FOLLOWED.items():
         system = OTHERS[name]() if name in OTHERS else co.systems.get(name)
-        table = SCHEMES[scheme].program(system).to_mapping()
+        table = SCHEMES[scheme].flow_table(system).to_mapping()
         for parameter in map(table["parameters"].get, parameters.split()):
             moved = parameter["monomial"][parameter["derivative"] != 0.0]
             assert len(moved) and not np.isin(moved, table["fixed"]).any(), (name, scheme)
 
 
 def test_coefficients_of_completed_squares_are_refused_by_name(page):
-    table = SCHEMES["coordinates"].program(co.systems.rigid_body(TENSOR)).to_mapping()
+    table = SCHEMES["coordinates"].flow_table(co.systems.rigid_body(TENSOR)).to_mapping()
     assert sorted(table["fixed"]) == list(range(6)) and not len(table["provenance"]["weight"]["index"])
     for monomial, key in enumerate(table["energy"]["monomials"]):
         energy = table["energy"]["coefficients"].copy()
@@ -222,5 +222,5 @@ def test_coefficients_of_completed_squares_are_refused_by_name(page):
             page["with_coefficients"](table, energy)
     # The last square has the weight M_33, as long as M_12 is larger.
     M = np.array([[0.0, 1.0, 0.3], [1.0, 0.0, 0.0], [0.3, 0.0, 0.2]])
-    table = SCHEMES["coordinates"].program(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))).to_mapping()
+    table = SCHEMES["coordinates"].flow_table(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))).to_mapping()
     assert 0.2 in table["weight"] and table["energy"]["monomials"].index([2, 2]) in table["fixed"]

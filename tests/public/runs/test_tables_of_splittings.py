@@ -66,7 +66,7 @@ METHODS = {
 
 def agrees(reader, system, scheme, x0, h, steps=4):
     sol = co.integrate(system, x0, (0.5, 0.5 + steps * h), abs(h), scheme, save_every=steps, watch=False)
-    found = reader(scheme.program(system).to_mapping(), x0, h, steps)
+    found = reader(scheme.flow_table(system).to_mapping(), x0, h, steps)
     # expm has a few units of rounding in each of the flows, some hundred of them at most.
     return np.max(np.abs(found - sol.x[-1])) < 4000 * system.dim * 2.0**-53 * max(1.0, np.max(np.abs(sol.x)))
 
@@ -100,7 +100,7 @@ def test_the_reader_turns_by_rational_angles(reader, parts):
         diagonal = co.Quadratic([1.0, 0.6, 0.3, 0.0, 0.0, 0.0][:n], linear=[0.1, 0.0, 0.2, 0.3, 0.1, 0.2][:n])
         system = co.LiePoissonSystem(algebra, diagonal, sign=-1)
         scheme = co.Splitting(order=4, parts=parts, rotation="rational")
-        frequencies += scheme.program(system).to_mapping()["frequency"].tolist()
+        frequencies += scheme.flow_table(system).to_mapping()["frequency"].tolist()
         for h in (0.3, -0.3):
             assert agrees(reader, system, scheme, RNG.standard_normal(n), h)
     assert len({w for w in frequencies if w}) > 1
@@ -121,7 +121,7 @@ def read(written):
 
 def test_it_is_json_and_comes_back(reader):
     system = co.LiePoissonSystem(co.algebras.so(4), full(6))
-    table = co.Splitting(order=2).program(system).to_mapping()
+    table = co.Splitting(order=2).flow_table(system).to_mapping()
     back = read(json.dumps(table, default=lambda array: array.tolist()))
     x0 = RNG.standard_normal(6)
     assert np.array_equal(reader(back, x0, 0.1, 3), reader(table, x0, 0.1, 3))
@@ -131,7 +131,7 @@ def test_it_is_json_and_comes_back(reader):
 
 
 def test_a_reader_refuses_newer_tables_and_functions(reader):
-    table = co.Splitting().program(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
+    table = co.Splitting().flow_table(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
     reader(table, np.ones(3), 0.1, 1)
     for other in ({"version": table["version"] + 1}, {"functions": [0]}):
         with refused(ValueError, "version"):
@@ -140,7 +140,7 @@ def test_a_reader_refuses_newer_tables_and_functions(reader):
 
 def test_the_derivatives_by_arguments_of_ready_made_systems():
     tables = [
-        co.Splitting(order=2).program(co.systems.heavy_top(inertia=(1, i, 2.5))).to_mapping() for i in (2, 2 + 1e-6)
+        co.Splitting(order=2).flow_table(co.systems.heavy_top(inertia=(1, i, 2.5))).to_mapping() for i in (2, 2 + 1e-6)
     ]
     parameter = tables[0]["parameters"]["inertia"]
     assert not parameter["linear"] and parameter["shape"] == [3] and parameter["value"].tolist() == [1, 2, 2.5]
@@ -153,24 +153,24 @@ def test_the_derivatives_by_arguments_of_ready_made_systems():
 
 
 def test_coefficients_on_which_forms_depend_are_fixed():
-    table = co.Splitting().program(co.LiePoissonSystem(co.algebras.so(3), full(3))).to_mapping()
+    table = co.Splitting().flow_table(co.LiePoissonSystem(co.algebras.so(3), full(3))).to_mapping()
     monomials = [table["energy"]["monomials"][k] for k in table["fixed"]]
     assert [0, 1] in monomials and not np.isin(table["provenance"]["weight"]["monomial"], table["fixed"]).any()
 
 
 def test_a_group_element_has_its_generators():
     system = co.systems.rigid_body(inertia=(1, 2, 2.5))
-    table = co.Splitting(parts="coordinates").program(system, group="coadjoint").to_mapping()
+    table = co.Splitting(parts="coordinates").flow_table(system, group="coadjoint").to_mapping()
     # The coadjoint matrix is turned by the same generators, as -rho^T.
     for name in ("part", "kind", "lambda", "block"):
         assert np.array_equal(table[f"group_{name}"], table[f"state_{name}"])
-    assert "group_part" not in co.Splitting().program(system).to_mapping()
+    assert "group_part" not in co.Splitting().flow_table(system).to_mapping()
 
 
 def test_functions_are_named_by_their_terms():
     H = co.Separable({0: (np.cosh, np.sinh), 2: (lambda y: y**2, lambda y: 2 * y)})
     system = co.LiePoissonSystem(co.algebras.so(3), H)
-    table = co.Splitting(order=2).program(system).to_mapping()
+    table = co.Splitting(order=2).flow_table(system).to_mapping()
     assert table["functions"] == [k for k, kind in enumerate(table["term_kind"]) if kind == 2] != []
 
 
@@ -179,4 +179,4 @@ def test_functions_are_named_by_their_terms():
 )
 def test_what_is_not_made_of_flows_has_no_program(method):
     with refused(TypeError, "no program", "Splitting"):
-        method.program(co.systems.rigid_body(inertia=(1, 2, 2.5)))
+        method.flow_table(co.systems.rigid_body(inertia=(1, 2, 2.5)))

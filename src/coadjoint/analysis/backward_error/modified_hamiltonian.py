@@ -26,7 +26,7 @@ from coadjoint.program.logarithms import Coordinates, exact_sweeps
 from coadjoint.program.modified_series import coordinates_of, modified_terms
 from coadjoint.program.parts.part_polynomials import parts_at
 from coadjoint.program.sweeps import Sweep
-from coadjoint.program.table import Program
+from coadjoint.program.table import FlowTable
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
@@ -61,7 +61,7 @@ class SchemeTerms:
     """Terms of the sweeps of a kernel and its processor `after`; `names`: exponents -> symbol (twice a square's)."""
 
     system: LiePoissonSystem
-    program: Program
+    flow_table: FlowTable
     sweeps: list[Sweep]
     after: list[Sweep]
     order: int
@@ -79,7 +79,7 @@ class SchemeTerms:
     def error_term(self) -> ErrorTerm:
         """Return the term at the first power above h^0 that is non-zero for general systems."""
         zero = self._with_symbols(Polynomial({}, dim=self.polynomial.dim + len(self.names)))
-        if len(self.program.parts) > 1 or np.any(self.program.frequency != 0):
+        if len(self.flow_table.parts) > 1 or np.any(self.flow_table.frequency != 0):
             for highest in range(min(self.order + 1, MAX_POWER + 1), MAX_POWER + 2):
                 coordinates = self._coordinates(highest)
                 weight = coordinates.leading
@@ -89,14 +89,14 @@ class SchemeTerms:
         return ErrorTerm(None, zero)
 
     def _coordinates(self, highest: int) -> Coordinates:
-        return coordinates_of(self.program, self.sweeps, self.after, highest, self.order)
+        return coordinates_of(self.flow_table, self.sweeps, self.after, highest, self.order)
 
     def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
         ring = ExactPolynomials(self.system.algebra, tuple(self.values))
         # The polynomials in symbols that represent the coefficients.
         factors = {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
         of_power, radius, neglected = modified_terms(
-            ring, self.system, self.program, coordinates, weights, self.polynomial, factors
+            ring, self.system, self.flow_table, coordinates, weights, self.polynomial, factors
         )
         terms = {power: in_coordinates_of(self.system, self._with_symbols(term)) for power, term in of_power.items()}
         return terms, radius, neglected
@@ -120,11 +120,11 @@ class SchemeTerms:
         return SymbolicPolynomial(polynomial, tuple(self.names.values())) if self.names else polynomial
 
 
-def symbols_of(H: Polynomial, requested: Any, program: Program) -> dict[Exponents, str]:
+def symbols_of(H: Polynomial, requested: Any, flow_table: FlowTable) -> dict[Exponents, str]:
     """Return the names of all coefficients of a Hamiltonian (True), or the given ones, by exponents."""
-    if program.shift:
+    if flow_table.shift:
         raise ValueError(
-            f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "
+            f"a multiple of the Casimir {flow_table.shift[0][0]!r} was subtracted from H, with a factor that depends "
             'on its coefficients; for symbols use parts="coordinates"'
         )
     names = names_of(H)
@@ -391,7 +391,7 @@ def modified_hamiltonian(
         order, "order", 1, MAX_POWER, reason="the words in the free algebra double in number with each power"
     )
     try:
-        program = scheme.program(system)
+        flow_table = scheme.flow_table(system)
     except TypeError as reason:
         raise TypeError(f"{reason}, or take co.modified_field(system, method)") from None
     if system.hamiltonian.timed:
@@ -404,15 +404,15 @@ def modified_hamiltonian(
     if H is None:
         if symbols is not False:
             raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; symbols need a polynomial one")
-        if np.any(program.frequency != 0):
+        if np.any(flow_table.frequency != 0):
             raise ValueError(
                 f"the Hamiltonian of {system.name} is not a polynomial, and rational rotations are flows of unknown "
                 'integrals of it; use rotation="exact"'
             )
-        coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
-        return ModifiedEnergyAtPoints(system, program, coordinates, order)
-    names = symbols_of(H, symbols, program) if symbols is not False else {}
-    return _from_terms(SchemeTerms(system, program, sweeps, after, scheme.order, H, names), order)
+        coordinates = coordinates_of(flow_table, sweeps, after, order, scheme.order)
+        return ModifiedEnergyAtPoints(system, flow_table, coordinates, order)
+    names = symbols_of(H, symbols, flow_table) if symbols is not False else {}
+    return _from_terms(SchemeTerms(system, flow_table, sweeps, after, scheme.order, H, names), order)
 
 
 def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
@@ -457,9 +457,9 @@ class ModifiedEnergyAtPoints:
     True
     """
 
-    def __init__(self, system: LiePoissonSystem, program: Program, coordinates: Coordinates, order: int) -> None:
+    def __init__(self, system: LiePoissonSystem, flow_table: FlowTable, coordinates: Coordinates, order: int) -> None:
         self.order = order
-        self._system, self._program, self._coordinates = system, program, coordinates
+        self._system, self._program, self._coordinates = system, flow_table, coordinates
         self._weights = [w for w in range(2, order + 1) if coordinates.of_weight[w]]
 
     @property
@@ -497,8 +497,8 @@ class ModifiedEnergyAtPoints:
         if self._weights:
             degree = self._weights[-1] - 1
             ring = ExactPolynomials(self._system.algebra, point=x.tolist(), degree=degree)
-            program = replace(self._program, parts=parts_at(self._program.parts, x, degree))
-            terms, _, _ = modified_terms(ring, self._system, program, self._coordinates, self._weights)
+            flow_table = replace(self._program, parts=parts_at(self._program.parts, x, degree))
+            terms, _, _ = modified_terms(ring, self._system, flow_table, self._coordinates, self._weights)
             for power in reversed(terms):
                 total += h**power * float(terms[power].monomials.get((0,) * self.dim, 0))
         return total + float(self._system.energy(x))

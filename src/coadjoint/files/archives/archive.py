@@ -58,7 +58,7 @@ MAX_LOST_CHUNKS = 1000  # of an array of format 1, in which each lost chunk is f
 FINISHED: str = "archive_finished"
 STEPS: str = "archive_steps"
 STATES: str = "archive_states"
-ACCOUNTS_ATTRIBUTE: str = "archive_accounts"
+WORK_INTEGRALS_ATTRIBUTE: str = "archive_accounts"
 SAVE_EVERY: str = "archive_save_every"
 BLOCK_SIZE_ATTRIBUTE = "archive_block"
 """Attribute of the archives of ensembles: members per block."""

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.files.archives.archive import (
-    ACCOUNTS_ATTRIBUTE,
     BLOCK_SIZE_ATTRIBUTE,
     DONE,
     FAILED,
@@ -25,6 +24,7 @@ from coadjoint.files.archives.archive import (
     PENDING,
     STATUS,
     STEPS,
+    WORK_INTEGRALS_ATTRIBUTE,
     MemberBlock,
     StoredState,
     is_computed,
@@ -44,13 +44,13 @@ from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import (
     TIME,
     Variables,
-    accounts_of_work,
     coordinates_of,
     parameters_of,
     start_variables,
     summary_variables,
     time_coordinate,
     time_variables,
+    work_integrals_of_solution,
 )
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.memory import format_bytes
@@ -85,7 +85,7 @@ IDENTITY_ATTRIBUTES = {
     "attitude_carried": "the attitude",
     OBSERVED_ATTRIBUTE: "observe",
     EVENTS_ATTRIBUTE: "events",
-    ACCOUNTS_ATTRIBUTE: "the forces",
+    WORK_INTEGRALS_ATTRIBUTE: "the forces",
     "coadjoint_version": "the version of coadjoint",
     FIRST_STEP: "the first step, by a function or a number that is not stored,",
 }
@@ -129,7 +129,7 @@ class PlannedRun(NamedTuple):
         """Return the attributes that identify the run; `piece` is its solution at the start."""
         return {
             **attributes_of(piece),
-            ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of_work(piece)),
+            WORK_INTEGRALS_ATTRIBUTE: json.dumps(work_integrals_of_solution(piece)),
             **function_attributes(self.prepared, self.events),
             FIRST_STEP: self.first_step(),
         }

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
-    ACCOUNTS_ATTRIBUTE,
     DONE,
     FAILED,
     FINISHED,
     PENDING,
     STATUS,
     STEPS,
+    WORK_INTEGRALS_ATTRIBUTE,
     Archive,
     MemberBlock,
     identity_of,
@@ -110,8 +110,8 @@ class ArchivedSolution(StoredSolution):
         return self._archive.read(name)
 
     @cached_property
-    def _accounts(self) -> tuple[tuple[str, str], ...]:
-        return tuple((force, name) for force, name in json.loads(self.attributes[ACCOUNTS_ATTRIBUTE]))
+    def _work_integrals(self) -> tuple[tuple[str, str], ...]:
+        return tuple((force, name) for force, name in json.loads(self.attributes[WORK_INTEGRALS_ATTRIBUTE]))
 
     @cached_property
     def incomplete(self) -> str | None:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.archives.archive import (
-    ACCOUNTS_ATTRIBUTE,
     BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
     FIRST_STEP,
@@ -25,6 +24,7 @@ from coadjoint.files.archives.archive import (
     STATUS,
     STEPS,
     VERSION_ATTRIBUTE,
+    WORK_INTEGRALS_ATTRIBUTE,
     Archive,
     is_computed,
 )
@@ -81,7 +81,9 @@ def check_archive(archive: Archive) -> None:
             entry[name].flag()
         if entry["seconds"].number() < 0.0:
             raise entry["seconds"].invalid_error("a number from 0 up")
-        accounts = [pair.texts(2) for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()]
+        work_integrals = [
+            pair.texts(2) for pair in parsed(attributes[WORK_INTEGRALS_ATTRIBUTE], WORK_INTEGRALS_ATTRIBUTE).entries()
+        ]
         functions = parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values()
         observed = parsed(attributes[OBSERVED_ATTRIBUTE], OBSERVED_ATTRIBUTE)
         for names in (observed["names"], *(fingerprint["named"] for fingerprint in functions)):
@@ -98,7 +100,7 @@ def check_archive(archive: Archive) -> None:
         times = times_of(span, entry["step"].number(), entry["save_every"].integer(1))
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
             raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
-        sizes = check_arrays(arrays, accounts)
+        sizes = check_arrays(arrays, work_integrals)
         if EVENTS_ATTRIBUTE in attributes:
             parsed(attributes[EVENTS_ATTRIBUTE], EVENTS_ATTRIBUTE).table()
         if ENDED_ATTRIBUTE in attributes and (
@@ -125,9 +127,9 @@ def check_archive(archive: Archive) -> None:
             raise ValueError(f"there are {sizes[TIME]} saved points after {attributes[STEPS]} steps, not {expected}")
 
 
-def check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -> dict[str, int]:
+def check_arrays(arrays: Mapping[str, StoredArray], work_integrals: list[list[str]]) -> dict[str, int]:
     """Validate the arrays of a run; return the lengths of the dimensions."""
-    missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARY_ARRAYS[bool(accounts)]} - arrays.keys()
+    missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARY_ARRAYS[bool(work_integrals)]} - arrays.keys()
     if missing:
         raise ValueError(f"the array {min(missing)} is missing")
     sizes = dict[str, int]()
@@ -149,7 +151,7 @@ def check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -
         raise ValueError("the arrays x and x0 have states of other shapes")
     if SIZES in arrays and arrays[SIZES].dims != (*energy_dims[1:], "invariant"):
         raise ValueError(f"the array {SIZES} is over {', '.join(arrays[SIZES].dims)}")
-    if sizes.get("part", 2) != 2 or (accounts and sizes.get("account") != len(accounts)):
+    if sizes.get("part", 2) != 2 or (work_integrals and sizes.get("account") != len(work_integrals)):
         raise ValueError("a dimension has a length that contradicts its meaning")
     return sizes
 

@@ -80,9 +80,9 @@ class LoadedSolution(StoredSolution):
         return np.asarray(self._stacked[name].values)
 
     @cached_property
-    def _accounts(self) -> tuple[tuple[str, str], ...]:
-        accounts = list(map(str, self._read("account"))) if "account" in self._arrays else []
-        return tuple(_split_account(label, self._names) for label in accounts)
+    def _work_integrals(self) -> tuple[tuple[str, str], ...]:
+        work_integrals = list(map(str, self._read("account"))) if "account" in self._arrays else []
+        return tuple(_split_work_integral(label, self._names) for label in work_integrals)
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
@@ -139,12 +139,12 @@ def solution_of_dataset(path: Path, dataset: xarray.Dataset, system: Any = None)
     )
 
 
-def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:
-    """Split the label of an account into force and invariant; both names may contain the separator.
+def _split_work_integral(text: str, invariants: list[str]) -> tuple[str, str]:
+    """Split the label of a work integral into force and invariant; both names may contain the separator.
 
     Examples
     --------
-    >>> _split_account("drag: on x: C: 2", ["energy", "2", "C: 2"])
+    >>> _split_work_integral("drag: on x: C: 2", ["energy", "2", "C: 2"])
     ('drag: on x', 'C: 2')
     """
     ending = text.rpartition(": ")[2]

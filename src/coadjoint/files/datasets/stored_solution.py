@@ -185,14 +185,14 @@ class StoredSolution(Solution):
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, Floats]]:
         by_force: dict[str, dict[str, Floats]] = {}
-        columns = self._read("work") if self._accounts else np.zeros(0)
-        for index, (force, invariant) in enumerate(self._accounts):
+        columns = self._read("work") if self._work_integrals else np.zeros(0)
+        for index, (force, invariant) in enumerate(self._work_integrals):
             by_force.setdefault(force, {})[invariant] = columns[..., index]
         return NamedValues(by_force)
 
     @cached_property
     def _worst(self) -> Floats:
-        names = ("change", "balance") if self._accounts else ("drift",)
+        names = ("change", "balance") if self._work_integrals else ("drift",)
         return np.concatenate([np.moveaxis(self._read(name), -2, -1) for name in names], axis=-1)
 
     @cached_property

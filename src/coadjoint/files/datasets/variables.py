@@ -167,7 +167,7 @@ def summary_variables(solution: Solution) -> Variables:
     variables: Variables = {"change" if solution.work else "drift": (dims, tenths, cf_attributes(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        balances = np.full_like(tenths, np.nan)  # NaN for invariants without account
+        balances = np.full_like(tenths, np.nan)  # NaN for invariants without a work integral
         for name, drift in solution.balance(relative=False).items():
             balances[..., list(changes).index(name), :] = drift.tenths
         variables["balance"] = (dims, balances, cf_attributes(about))
@@ -216,7 +216,11 @@ def coordinates_of(solution: Solution) -> Variables:
     tenths = next(iter(changes.values())).tenths.shape[-1]
     add("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")
     if solution.work:
-        add("account", [f"{force}: {name}" for force, name in accounts_of_work(solution)], "force, and what it changes")
+        add(
+            "account",
+            [f"{force}: {name}" for force, name in work_integrals_of_solution(solution)],
+            "force, and what it changes",
+        )
     return coordinates
 
 
@@ -256,7 +260,7 @@ def as_coordinates(values: Mapping[str, Any]) -> dict[str, tuple[str, NDArray[An
     return coordinates
 
 
-def accounts_of_work(solution: Solution) -> list[tuple[str, str]]:
+def work_integrals_of_solution(solution: Solution) -> list[tuple[str, str]]:
     """Return the pairs of force and invariant for which work is recorded."""
     return [(force, name) for force, of_force in solution.work.items() for name in of_force]
 

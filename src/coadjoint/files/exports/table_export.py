@@ -27,7 +27,7 @@ def export_table(prepared: PreparedRun, path: str | Path) -> Path:
     """Write a prepared splitting as a table in JSON, which the C interface of the library runs.
 
     For programs in C, C++, Julia, Rust or any language that can call C, with the compiled library and without Python.
-    The table can be read by hand too: it contains everything that `Splitting.program` exports.
+    The table can be read by hand too: it contains everything that `Splitting.flow_table` exports.
 
     Parameters
     ----------
@@ -79,11 +79,11 @@ def table_text(prepared: PreparedRun) -> str:
         raise TypeError(f"the run has {given}, which a table does not contain; prepare it without, or take co.export_c")
     if type(loop.tables) is not FlowTables:
         raise TypeError(f"{prepared.method} is not made of exact flows, so it has no table; take Splitting")
-    program = scheme.program(system)
-    check_terms(prepared.system.name, program.terms)
+    flow_table = scheme.flow_table(system)
+    check_terms(prepared.system.name, flow_table.terms)
     compensated = loop.tables.compensated
-    tables = flow_cotangents(program, system, None, prepared.step, compensated, None).tables
-    table = program.to_mapping() | {
+    tables = flow_cotangents(flow_table, system, None, prepared.step, compensated, None).tables
+    table = flow_table.to_mapping() | {
         "step": prepared.step,
         "compensated": compensated,
         "body_column": tables.base.body_column,

@@ -27,7 +27,7 @@ from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
 from coadjoint.program.generators import BasisMatrices, given_matrices
-from coadjoint.program.table import Program, dual_action
+from coadjoint.program.table import FlowTable, dual_action
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.energy_derivatives import FunctionDerivative
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -118,7 +118,7 @@ Floats = NDArray[np.float64]
 
 
 class FlowCotangents(NamedTuple):
-    """Tables of a program with the actions on cotangents; see `source/boundary/tables.hpp`."""
+    """Tables of a flow table with the actions on cotangents; see `source/boundary/tables.hpp`."""
 
     base: FlowTables
     dual: Action
@@ -180,17 +180,17 @@ class BackwardRun(NamedTuple):
 
 
 def flow_cotangents(
-    program: Program, system: LiePoissonSystem, group: Any, h: float, compensated: bool, added: AddedPart | None
+    flow_table: FlowTable, system: LiePoissonSystem, group: Any, h: float, compensated: bool, added: AddedPart | None
 ) -> CompiledTables:
-    """Return `FlowCotangents` of a program, with the part of a derivative by parameters if there is one."""
+    """Return `FlowCotangents` of a flow table, with the part of a derivative by parameters if there is one."""
     check_differentiable(system)
-    base = flow_tables(program, h, compensated)
+    base = flow_tables(flow_table, h, compensated)
     tables: FlowTables = base.tables
-    hessians, keepalive = addresses_of(program.functions, program.terms.size, "hessian", "the Hamiltonian")
-    parts, index = program.parts, -1
-    dual = _marked_like(dual_action(system.algebra, program), tables.state)
+    hessians, keepalive = addresses_of(flow_table.functions, flow_table.terms.size, "hessian", "the Hamiltonian")
+    parts, index = flow_table.parts, -1
+    dual = _marked_like(dual_action(system.algebra, flow_table), tables.state)
     group_dual = empty_action()
-    if program.group is not None:
+    if flow_table.group is not None:
         rho = given_matrices(group)
         matrices = (
             BasisMatrices.coadjoint(system.algebra)

@@ -17,12 +17,12 @@ from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of, as_s
 from coadjoint.program.actions import Action, acts_rationally, empty_action
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.part import BodyShare
-from coadjoint.program.table import Program, recorded_sources
+from coadjoint.program.table import FlowTable, recorded_sources
 from coadjoint.program.term_table import LINEAR, Terms
 
 
 class FlowTables(NamedTuple):
-    """Arrays of a program, row coefficients times `step`; for `called`, bodies, `properties` see `boundary/tables.hpp`.
+    """A flow table as arrays, coefficients times `step`; for `called`, bodies, `properties` see `boundary/tables.hpp`.
 
     only[p]: row of a part of one linear angle, else -1; bent[p]: 1 if its blocks on the group have other frequencies.
     """
@@ -62,24 +62,24 @@ next, and *finish* acts on a copy.
 """
 
 
-def flow_tables(program: Program, h: float, compensated: bool, compact: bool = False) -> CompiledTables:
-    """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward)."""
-    terms = program.compact_terms if compact else program.terms
+def flow_tables(flow_table: FlowTable, h: float, compensated: bool, compact: bool = False) -> CompiledTables:
+    """Return `FlowTables` of a flow table with float64 constants, for a step h (negative for backward)."""
+    terms = flow_table.compact_terms if compact else flow_table.terms
     count = len(terms.kind)
-    addresses, keepalive = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
-    group = program.group if program.group is not None else empty_action()
-    rows = program.rows
-    edges = terms.row[program.share]
-    is_linear = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (terms.kind[program.share[:-1]] == LINEAR)
+    addresses, keepalive = addresses_of(flow_table.functions, count, "gradient", "the Hamiltonian")
+    group = flow_table.group if flow_table.group is not None else empty_action()
+    rows = flow_table.stages
+    edges = terms.row[flow_table.share]
+    is_linear = (np.diff(edges) == 1) & (np.diff(flow_table.share) == 1) & (terms.kind[flow_table.share[:-1]] == LINEAR)
     rational = np.zeros(len(edges) - 1, dtype=bool)
-    if np.any(program.frequency):
-        turning = np.concatenate([[0], np.cumsum(program.frequency != 0)])
+    if np.any(flow_table.frequency):
+        turning = np.concatenate([[0], np.cumsum(flow_table.frequency != 0)])
         rational = np.diff(turning[edges]) > 0
     rational_on_group = np.zeros_like(rational)
-    if program.group is not None and np.any(rational):
-        rational_on_group = rational & acts_rationally(group, program.parts, program.frequency)
+    if flow_table.group is not None and np.any(rational):
+        rational_on_group = rational & acts_rationally(group, flow_table.parts, flow_table.frequency)
     # Kernels read the frequencies of rational rotations alone.
-    frequency = program.frequency if np.any(rational) or not compact else np.zeros(1)
+    frequency = flow_table.frequency if np.any(rational) or not compact else np.zeros(1)
     tables = FlowTables(
         int(np.max(np.diff(edges), initial=1)),
         np.where(is_linear, edges[:-1].astype(np.int64), -1),
@@ -89,16 +89,16 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
         rows.coefficient * h,
         rows.moment,
         rows.section,
-        program.share,
+        flow_table.share,
         terms,
         addresses,
-        mark_rational(program.state, rational),
+        mark_rational(flow_table.state, rational),
         mark_rational(group, rational_on_group),
         compensated,
-        *body_tables(program),
+        *body_tables(flow_table),
         h,
     )
-    recorded = recorded_sources(program, terms)
+    recorded = recorded_sources(flow_table, terms)
     return CompiledTables(with_properties(tables), keepalive, lambda: recorded().within("terms."))
 
 
@@ -123,17 +123,17 @@ MAX_SWEEPS = 16  # of the Jacobi method, which takes about six for a 3 x 3 matri
 DIRECT, TOGETHER = 1, 2  # bits of `properties`
 
 
-def body_tables(program: Program) -> tuple[NDArray[np.int64], NDArray[np.uint32], Floats, NDArray[np.uint8]]:
+def body_tables(flow_table: FlowTable) -> tuple[NDArray[np.int64], NDArray[np.uint32], Floats, NDArray[np.uint8]]:
     """Return the fields `called`, `body_column`, `body` and `properties` of `FlowTables` for the free bodies."""
-    parts, bodies = program.parts, program.parts.bodies
+    parts, bodies = flow_table.parts, flow_table.parts.bodies
     # A flow table may contain parts that are not in the Hamiltonian.
-    index_of_share = np.full(int(program.share[-1]), -1, dtype=np.int64)
+    index_of_share = np.full(int(flow_table.share[-1]), -1, dtype=np.int64)
     properties = np.zeros(len(parts), dtype=np.uint8)
     index_of_share[list(bodies)] = np.arange(len(bodies))
     of_part = {int(np.searchsorted(parts.share, s, side="right")) - 1: share for s, share in bodies.items()}
     for p, share in of_part.items():
         unit_scale = all(abs(length) == 1.0 for length in share.scale)
-        actions = (program.state,) if program.group is None else (program.state, program.group)
+        actions = (flow_table.state,) if flow_table.group is None else (flow_table.state, flow_table.group)
         properties[p] = DIRECT * (unit_scale and all(_turns_directly(action, p) for action in actions))
         if all(bodies[s].other and bodies[s].scale == (1.0, 1.0, 1.0) for s in range(*parts.share[p : p + 2])):
             properties[p] |= TOGETHER

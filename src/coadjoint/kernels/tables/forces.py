@@ -34,13 +34,13 @@ NO_NUMBERS = np.zeros(1)
 
 
 class ForceTable(NamedTuple):
-    """A force as the kernels read it; `account` is the index of its first account, `accounts` the number of invariants.
+    """A force as the kernels read it, with the index of its first `work_integral`, and their number `work_integrals`.
     The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
     """
 
     kind: int
-    account: int
-    accounts: int
+    work_integral: int
+    work_integrals: int
     shape: int
     rate: NDArray[np.float64]
     aim: NDArray[np.float64]
@@ -77,25 +77,30 @@ def _adapted_matrix_function(
     return lambda y, t: flattened(function(state(y[:-1]), t, y[-1]))
 
 
-def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
+def work_integrals_of(system: Any) -> tuple[tuple[str, str], ...]:
     """Return the work integrals of a system, (force, invariant changed), behind the coordinates."""
-    accounts: list[tuple[str, str]] = []
+    work_integrals: list[tuple[str, str]] = []
     hamiltonian_part = system.unforced
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
     )
     for label, force in zip(system.labels, system.forces, strict=True):
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
-        accounts += [(label, name) for name in names]
-    return tuple(accounts)
+        work_integrals += [(label, name) for name in names]
+    return tuple(work_integrals)
 
 
 class _ForceTableBuilder:
     """Builder of the table of a force in schemes of an order; `keepalive` holds the code of its function `called`."""
 
-    def __init__(self, system: Any, account: int, accounts: int, order: int, compiles: bool = True) -> None:
+    def __init__(self, system: Any, work_integral: int, work_integrals: int, order: int, compiles: bool = True) -> None:
         self.called: Callable[..., Any] | None = None
-        self._compiles, self.n, self._accounts, self._order = compiles, system.dim, (account, accounts), order
+        self._compiles, self.n, self._work_integrals, self._order = (
+            compiles,
+            system.dim,
+            (work_integral, work_integrals),
+            order,
+        )
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
         self.keepalive: tuple[KernelFunction, ...] = ()
 
@@ -104,7 +109,7 @@ class _ForceTableBuilder:
         shape = codes("Shape")[("MULTIPLE", "DIAGONAL", "FULL")[matrix.ndim]]
         function = np.array([owner.address for owner in self.keepalive], dtype=np.int64)
         return ForceTable(
-            codes("ForceKind")[kind], *self._accounts, shape, matrix.ravel(), vector.ravel(), function, **more
+            codes("ForceKind")[kind], *self._work_integrals, shape, matrix.ravel(), vector.ravel(), function, **more
         )
 
     def damping(self, rate: NDArray[Any], toward: NDArray[Any]) -> ForceTable:
@@ -147,7 +152,7 @@ class _ForceTableBuilder:
     ) -> ForceTable:
         return ForceTable(
             codes("ForceKind")[kind],
-            *self._accounts,
+            *self._work_integrals,
             codes("ModeKind")[modes.kind],
             rate,
             aim,
@@ -212,14 +217,14 @@ def forced_loop(
     system: Any, inner: Mapping[float, CompiledLoop], fractions: Sequence[float], order: int, representation: Any
 ) -> CompiledLoop:
     """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order."""
-    accounts = accounts_of(system)
-    owners_of_accounts = [label for label, _ in accounts]
+    work_integrals = work_integrals_of(system)
+    forces_of_integrals = [label for label, _ in work_integrals]
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
     for k, force in system.flows:
         label = system.labels[k]
         reader = _ForceTableBuilder(
-            system.unforced, owners_of_accounts.index(label), owners_of_accounts.count(label), order
+            system.unforced, forces_of_integrals.index(label), forces_of_integrals.count(label), order
         )
         tables.append(force.describe_to(reader, system.unforced))
         keepalive += reader.keepalive
@@ -252,7 +257,7 @@ def forced_loop(
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
     referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
-    return loop_over(STEP_LOOP, step, accounts=accounts, referenced=referenced)
+    return loop_over(STEP_LOOP, step, work_integrals=work_integrals, referenced=referenced)
 
 
 def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:

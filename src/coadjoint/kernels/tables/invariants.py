@@ -1,4 +1,4 @@
-"""Tables of watched invariants: energy, Casimirs and other quantities, with accounts."""
+"""Tables of watched invariants: energy, Casimirs and other quantities, with work integrals."""
 
 from __future__ import annotations
 
@@ -37,11 +37,13 @@ def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[in
     return Sources({name: concatenated(parts) for name, parts in found.items()})
 
 
-def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
-    """Return a `Watch` of energy and invariants, then of each minus its `accounts`, (force, invariant)."""
+def balance_tables(
+    system: Any, invariants: Mapping[str, Any], work_integrals: Sequence[tuple[str, str]]
+) -> CompiledTables:
+    """Return a `Watch` of energy and invariants, then of each minus its `work_integrals`, (force, invariant)."""
     watched = [("energy", system.hamiltonian), *invariants.items()]
     subtracted = [
-        [system.dim + k for k, (_, invariant) in enumerate(accounts) if invariant == name] for name, _ in watched
+        [system.dim + k for k, (_, invariant) in enumerate(work_integrals) if invariant == name] for name, _ in watched
     ]
     found = invariants_table([*watched, *watched], system.dim, [*([()] * len(watched)), *subtracted])
     energies = 0, len(watched)

@@ -16,7 +16,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.generators import given_matrices, group_side
-from coadjoint.program.table import Program
+from coadjoint.program.table import FlowTable
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.system import System
 
@@ -87,20 +87,20 @@ class Work:
     compensated: Callable[[], Work] | None = None
 
 
-def flow_work(program: Program, compensated: bool) -> float:
+def flow_work(flow_table: FlowTable, compensated: bool) -> float:
     """Return the cost of one step of a splitting, including the group action, in rotations."""
-    parts = [_part_work(program, number, compensated) for number in range(len(program.parts))]
-    first, last = int(program.rows.section[1]), int(program.rows.section[2])
-    return sum(parts[int(part)] for part in program.rows.part[first:last])
+    parts = [_part_work(flow_table, number, compensated) for number in range(len(flow_table.parts))]
+    first, last = int(flow_table.stages.section[1]), int(flow_table.stages.section[2])
+    return sum(parts[int(part)] for part in flow_table.stages.part[first:last])
 
 
-def _part_work(program: Program, number: int, compensated: bool) -> float:
-    multiplications, functions = share_work(program, number)
-    bodies = bodies_of(program, number)
+def _part_work(flow_table: FlowTable, number: int, compensated: bool) -> float:
+    multiplications, functions = share_work(flow_table, number)
+    bodies = bodies_of(flow_table, number)
     if bodies:
         multiplications, functions = 0, 0
     cost = FLOW_COST + MULTIPLICATION_COST * multiplications + CALL_COST * functions
-    action = action_work(program.state, number)
+    action = action_work(flow_table.state, number)
     if bodies:
         bonds = bool(bodies[0].other)
         each = FREE_BODY if not bonds else COMPENSATED_BOND if compensated else BOND
@@ -108,11 +108,11 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
         action = 0 if bonds else action[0], 0  # sines are part of the cost of the body
     factor = COMPENSATION_FACTOR if compensated else 1.0
     cost += factor * (MULTIPLICATION_COST * action[0] + FUNCTION_COST * action[1])
-    cost += MULTIPLICATION_COST * SPARSE_SERIES * count_series_blocks(program.state, number)
-    if program.group is not None:
+    cost += MULTIPLICATION_COST * SPARSE_SERIES * count_series_blocks(flow_table.state, number)
+    if flow_table.group is not None:
         # The rows of a group element are rotated in vector lanes, by one sine.
-        action = action_work(program.group, number)
-        cost += MULTIPLICATION_COST * action[0] * math.ceil(program.group.size / LANES) + FUNCTION_COST * action[1]
+        action = action_work(flow_table.group, number)
+        cost += MULTIPLICATION_COST * action[0] * math.ceil(flow_table.group.size / LANES) + FUNCTION_COST * action[1]
     return cost
 
 
@@ -148,16 +148,16 @@ def field_work(system: System) -> tuple[float, int]:
     return multiplications + system.dim**2, functions + 1
 
 
-def flows_of(program: Program) -> int:
+def flows_of(flow_table: FlowTable) -> int:
     """Return the number of flows in a step."""
-    return int(program.rows.section[2] - program.rows.section[1])
+    return int(flow_table.stages.section[2] - flow_table.stages.section[1])
 
 
-def work_of_flows(program: Program, compensated: bool) -> Work:
+def work_of_flows(flow_table: FlowTable, compensated: bool) -> Work:
     """Return the work of a step that consists of flows."""
-    cost = flow_work(program, compensated)
-    compensated_work = None if compensated else lambda: work_of_flows(program, True)
-    return Work(lambda iterations, evaluations: cost, flows_of(program), LANE_FLOW_FACTOR, compensated_work)
+    cost = flow_work(flow_table, compensated)
+    compensated_work = None if compensated else lambda: work_of_flows(flow_table, True)
+    return Work(lambda iterations, evaluations: cost, flows_of(flow_table), LANE_FLOW_FACTOR, compensated_work)
 
 
 def work_of_iterations(system: System, group: Any) -> Work:

@@ -62,22 +62,22 @@ def flow_derivatives(
 ) -> DerivativeTables:
     """Return the tables of flows and of their transposes."""
     # Parameters that are in no coefficient, as those of functions, are differentiated as an added part of size zero.
-    program = method.program(system, group=representation)
+    flow_table = method.flow_table(system, group=representation)
     apart = {name: G.apart for name, G in energies.items()}
-    places = Places(program)
+    places = Places(flow_table)
     found = {name: places.of(G) for name, G in apart.items()}
     own = {name: (of_parts, of_shift) for name, (of_parts, of_shift, missing) in found.items() if not len(missing)}
     others, added = [name for name in found if name not in own], None
     in_added = [G if name in others else G.of_functions for name, G in apart.items()]
     monomials = {name: own.get(name, (NO_MULTIPLES, NO_MULTIPLES)) for name in found}
     if others or any(G.functions for G in in_added):
-        added = with_added_part(program, method, system, representation, EnergyDerivative.joined(in_added))
+        added = with_added_part(flow_table, method, system, representation, EnergyDerivative.joined(in_added))
         split = added.split({name: G.size for name, G in apart.items()})
         monomials = {
             name: (concatenated([split[name], added.renumbered(of_parts)]), of_shift)
             for name, (of_parts, of_shift) in monomials.items()
         }
-    built = flow_cotangents(program, system, representation, h, method.compensates, added)
+    built = flow_cotangents(flow_table, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
     def tables_at(step: float) -> Any:
@@ -92,7 +92,7 @@ def flow_derivatives(
         coefficients={name: one.of_energy(energies[name]) for name, (one, _) in monomials.items()},
         factors={name: one.of_energy(energies[name]) for name, (_, one) in monomials.items()},
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
-        shift=program.shift,
+        shift=flow_table.shift,
         reversible=True,
         located=COEFFICIENTS,
         monomials=monomials,

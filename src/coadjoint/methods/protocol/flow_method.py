@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.program.interpreter import Interpreter
-    from coadjoint.program.table import Program
+    from coadjoint.program.table import FlowTable
     from coadjoint.systems.energy_derivatives import EnergyDerivative
     from coadjoint.systems.system_stacks import SystemStack
 
@@ -97,8 +97,8 @@ class FlowMethod(Method):
         """Return the sweeps of this scheme, followed by their mirror images."""
         return PairOfFlows(self)
 
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        from coadjoint.program.table import build_program
+    def flow_table(self, system: System, *, group: Representation = None, number: Number = float) -> FlowTable:
+        from coadjoint.program.table import build_flow_table
 
         self.properties(system)
         if not system.has_structure_constants:
@@ -111,35 +111,35 @@ class FlowMethod(Method):
             raise ValueError(
                 f"the coefficients of the sweeps of {self} add up to {sum(coefficients)!r}; they must add up to 1"
             )
-        return build_program(cast(Any, system), self, group=group, number=number)
+        return build_flow_table(cast(Any, system), self, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        return self._program_loop(self.program(system, group=representation), h)
+        return self._program_loop(self.flow_table(system, group=representation), h)
 
     def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         if type(self).loop is not Method.loop or type(self).compiled is not FlowMethod.compiled:
             return self.loop(system, h, representation)
         self._check_loop(system)
-        return self._program_loop(self.program(system, group=representation), h, compact=representation is None)
+        return self._program_loop(self.flow_table(system, group=representation), h, compact=representation is None)
 
-    def _program_loop(self, program: Program, h: float, compact: bool = False) -> CompiledLoop:
+    def _program_loop(self, flow_table: FlowTable, h: float, compact: bool = False) -> CompiledLoop:
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
-        tables = flow_tables(program, h, bool(self.compensated), compact)
+        tables = flow_tables(flow_table, h, bool(self.compensated), compact)
         sources = tables.sources if self.differentiable else unrecorded
-        return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=program.shift)
+        return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=flow_table.shift)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         from coadjoint.kernels.tables.derivatives import check_differentiable, with_tangents
 
         check_differentiable(system)
-        program = self.program(system)
-        return with_tangents(self._program_loop(program, h), system, program.functions, frame)
+        flow_table = self.flow_table(system)
+        return with_tangents(self._program_loop(flow_table, h), system, flow_table.functions, frame)
 
     @property
     def differentiable(self) -> bool:
         """Whether the table contains only the parts of the Hamiltonian."""
-        return type(self).program is FlowMethod.program
+        return type(self).flow_table is FlowMethod.flow_table
 
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
@@ -157,7 +157,7 @@ class FlowMethod(Method):
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         from coadjoint.program.interpreter import Interpreter
 
-        return Interpreter(self.program(system, number=Fraction), number=type(h)).steps(x, h, 1, t0=0 * h)
+        return Interpreter(self.flow_table(system, number=Fraction), number=type(h)).steps(x, h, 1, t0=0 * h)
 
     @property
     def known_to(self) -> float:
@@ -187,7 +187,7 @@ class FlowMethod(Method):
         """Return the work of the rows of a step, by the blocks that they rotate."""
         from coadjoint.methods.protocol.cost_model import work_of_flows
 
-        return work_of_flows(self.program(system, group=group), bool(self.compensated))
+        return work_of_flows(self.flow_table(system, group=group), bool(self.compensated))
 
     def settled(self, systems: Sequence[Any], coordinates: Sequence[int]) -> Method:
         """Return the scheme with the automatic parts of systems fixed; it needs a field `parts`.
@@ -328,4 +328,4 @@ def _interpreter_of(method: FlowMethod, system: System, number: Number) -> Inter
 def _cached_interpreter(method: FlowMethod, system: System, number: Number, precision: int | None) -> Interpreter:
     from coadjoint.program.interpreter import Interpreter
 
-    return Interpreter(method.program(system, number=number))
+    return Interpreter(method.flow_table(system, number=number))

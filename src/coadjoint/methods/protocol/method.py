@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-    from coadjoint.program.table import Program
+    from coadjoint.program.table import FlowTable
     from coadjoint.systems.energy_derivatives import EnergyDerivative
     from coadjoint.systems.system_stacks import SystemStack
 
@@ -247,7 +247,7 @@ class Method(Abstract):
         """Relative error of the coefficients of `formal_step`; 0 if they are exact."""
         return 0.0
 
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
+    def flow_table(self, system: System, *, group: Representation = None, number: Number = float) -> FlowTable:
         """Return the table of exact flows that make up a step.
 
         Parameters
@@ -261,14 +261,14 @@ class Method(Abstract):
 
         Returns
         -------
-        Program
+        FlowTable
 
         Raises
         ------
         TypeError
             The scheme does not consist of flows.
         """
-        raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
+        raise TypeError(f"{self} is not made of exact flows, so it has no flow table; Splitting has one")
 
     @abstractmethod
     def work(self, system: System, group: Representation = None) -> Work:

@@ -180,7 +180,7 @@ class Trajectory:
 
     def _integrated(self, step: int, distance: int) -> Segment:
         state, last = self._run.state, min(step + distance, self.times.steps)
-        # Behind the coordinates are the accounts of forces.
+        # Behind the coordinates are the work integrals of forces.
         momenta, errors = (state[name][:, : self.n].copy() for name in ("momenta", "errors"))
         groups, group_errors = (state[name].copy() for name in ("groups", "group_errors"))
         self._run.advance(until=last)

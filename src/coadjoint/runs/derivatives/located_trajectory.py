@@ -109,7 +109,7 @@ class LocatedTrajectory(Trajectory):
         group = np.ascontiguousarray(self.groups[points, 0].reshape(len(x), self.side**2))
         starts = np.asarray(self.started[points], dtype=np.float64)
         after, groups = self.parts.take(x, group, starts, lengths, np.zeros(len(x), dtype=np.int64))
-        # Behind the coordinates are the accounts of forces.
+        # Behind the coordinates are the work integrals of forces.
         return after[:, : self.n], groups
 
 

@@ -1,4 +1,4 @@
-"""Compiled loops of a run, built once for the systems of its members and a step."""
+"""The compiled time stepping of a run: loops with their tables, one for each structure among its members."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ class Loops:
         self._corrected = owners if corrected is None else corrected
         self.dim, self.names, self.corrections = dim, names, list(corrections)
         self.owners, self.in_order, self.rows = owners, in_order, rows
-        self.accounts = compiled[0].accounts  # of works behind the coordinates of a state, as (force, invariant)
+        self.work_integrals = compiled[0].work_integrals  # behind the coordinates of a state, as (force, invariant)
         # Numbers of a state, and those of a member that persist from step to step.
-        self.size, self.memory = dim + len(self.accounts), max(loop.memory for loop in compiled)
+        self.size, self.memory = dim + len(self.work_integrals), max(loop.memory for loop in compiled)
         self.matrices = matrices  # the system, whose invariants the loops do not track, if states are matrices
         # Members with the same tables that are advanced side by side.
         self.block = limit("MOST_LANES") if dim <= limit("WIDEST") else 1
@@ -159,7 +159,7 @@ class Loops:
 
     @property
     def tracked(self) -> int:
-        return len(self.names) * (2 if self.accounts else 1)
+        return len(self.names) * (2 if self.work_integrals else 1)
 
     @property
     def shares_tables(self) -> bool:
@@ -300,7 +300,7 @@ class Loops:
 
     def values_of_matrices(self, states: Floats, t: float) -> Floats:
         """Return the invariants of states (m, size) that are matrices."""
-        return invariants_of_matrices(self.matrices, self.names, self.accounts, states, t)
+        return invariants_of_matrices(self.matrices, self.names, self.work_integrals, states, t)
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
@@ -405,14 +405,14 @@ def loops_of_members(systems: Sequence[System], compiled: Sequence[CompiledLoop]
 
 
 def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], compact: bool = False) -> CompiledTables:
-    """Return the tables of the energy and the tracked invariants, with accounts also of their balances."""
+    """Return the tables of the energy and the tracked invariants, with work integrals also of their balances."""
     from coadjoint.kernels.tables.invariants import balance_tables, watch_tables
 
     if system.has_matrices:
-        count = (1 + len(tracked)) * (2 if loop.accounts else 1) - 1
+        count = (1 + len(tracked)) * (2 if loop.work_integrals else 1) - 1
         return watch_tables(system, dict.fromkeys(map(str, range(count)), UNTRACKED))
-    if loop.accounts:
-        return balance_tables(system, tracked, loop.accounts)
+    if loop.work_integrals:
+        return balance_tables(system, tracked, loop.work_integrals)
     return watch_tables(system, tracked, compact)
 
 

@@ -1,4 +1,4 @@
-"""Member batches: members that share tables, in slots side by side, and the execution of batches in threads."""
+"""Members of an ensemble packed into lanes of vector instructions, and their time stepping in threads."""
 
 from __future__ import annotations
 

@@ -82,8 +82,8 @@ class MemorySolution(Solution):
             saved = self._layout.saved
             return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
         rows = self._without_member_axis(self._points("x"))
-        # Accounts of forces may follow the coordinates.
-        return self._states(rows[..., : self._start.momenta.shape[1]] if self._accounts else rows)
+        # Work integrals of forces may follow the coordinates.
+        return self._states(rows[..., : self._start.momenta.shape[1]] if self._work_integrals else rows)
 
     @cached_property
     def x0(self) -> NDArray[Any]:
@@ -115,7 +115,7 @@ class MemorySolution(Solution):
     def work(self) -> Mapping[str, Mapping[str, Floats]]:
         states, dim = self._points("x"), self._start.momenta.shape[1]
         by_force: dict[str, dict[str, Floats]] = {}
-        for column, (force, invariant) in enumerate(self._accounts):
+        for column, (force, invariant) in enumerate(self._work_integrals):
             by_force.setdefault(force, {})[invariant] = self._without_member_axis(states[..., dim + column])
         return NamedValues(by_force)
 
@@ -202,7 +202,7 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
         }
     )
     if observed is not None:
-        # Observed quantities do not use the accounts that may follow the coordinates.
+        # Observed quantities do not use the work integrals that may follow the coordinates.
         series = observed.along(solution.t, solution._points("x"))
         named = ObservedValues({name: solution._without_member_axis(values) for name, values in series.items()})
         named.formulas = observed.formulas

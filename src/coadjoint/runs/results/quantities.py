@@ -139,19 +139,19 @@ def _of_matrices(system: MatrixSystem, observe: Mapping[str, Any], t: Floats, po
 
 
 def invariants_of_matrices(
-    system: MatrixSystem, names: Sequence[str], accounts: Sequence[tuple[str, str]], states: Floats, t: float
+    system: MatrixSystem, names: Sequence[str], work_integrals: Sequence[tuple[str, str]], states: Floats, t: float
 ) -> Floats:
-    """Return energy and invariants of states (m, size), and with `accounts` the same minus the work of forces."""
+    """Return energy and invariants of states (m, size), and with `work_integrals` the same minus the work of forces."""
     # States after a failure are NaN; user functions are not called on them.
     finite = np.isfinite(states[:, : system.dim]).all(axis=-1)
-    result = np.full((len(states), len(names) * (2 if accounts else 1)), np.nan)
+    result = np.full((len(states), len(names) * (2 if work_integrals else 1)), np.nan)
     W = system.from_vector(states[finite, : system.dim])
     with np.errstate(all="ignore"):
         values = [system.energy(W, t), *system.casimirs_at(W).values()]
-    if accounts:
-        # The work is that of the accounts of a state; the start has none.
+    if work_integrals:
+        # The work is that of the integrals in a state; the start has none.
         work = {name: np.zeros(len(W)) for name in names}
-        for (_, name), column in zip(accounts, states[finite, system.dim :].T, strict=False):
+        for (_, name), column in zip(work_integrals, states[finite, system.dim :].T, strict=False):
             work[name] += column
         values += [value - work[name] for value, name in zip(values, names, strict=True)]
     result[finite] = np.stack(values, axis=-1)

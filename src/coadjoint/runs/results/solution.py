@@ -179,14 +179,14 @@ class Solution(SolutionOutput):
         """
         if not self.work:
             return self._deviations(0, relative)
-        accounted = {invariant for _, invariant in self._accounts}
+        accounted = {invariant for _, invariant in self._work_integrals}
         conserves_casimirs = accounted == {"energy"} and self._forces_keep_casimirs
         deviations = self._deviations(1 + len(self.casimirs), relative)
         return NamedValues({name: one for name, one in deviations.items() if conserves_casimirs or name in accounted})
 
     @property
     def _forces_keep_casimirs(self) -> bool:
-        """Whether the forces preserve all Casimirs. Accounts do not show it: matrices of several blocks have none."""
+        """Whether the forces preserve all Casimirs, which work integrals do not show: some matrices have none."""
         return all(force.casimirs for force in self.system.forces)
 
     @suggest_keywords

@@ -85,7 +85,7 @@ class SolutionAttributes:
     """Attributes of a `Solution`; its classes have them as fields, or compute or read them on first use."""
 
     # Force and invariant of each column of recorded work.
-    _accounts: tuple[tuple[str, str], ...]
+    _work_integrals: tuple[tuple[str, str], ...]
     # Largest deviation of each invariant in each tenth of the run, then, with forces, those of the balances,
     # (tenths, k) or (members, tenths, k).
     _worst: Floats

@@ -139,17 +139,17 @@ TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 TABLE(StepTables, STEP_FIELDS)
 
 // A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. Its changes of the
-// first `accounts` invariants are accumulated behind the coordinates, from index `account` on. The directions of a
-// noise, columns of the root, form `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
+// first `work_integrals` invariants are accumulated behind the coordinates, from index `work_integral` on. The directions
+// of a noise, columns of the root, form `sets` that commute: direction[begin[s]] to direction[begin[s + 1]].
 // For a force on modes of a matrix of `extent` rows, at `position` of a state, `shape` selects the modes; on the
 // diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries
 // of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
 // `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
 // is a step of the classical Runge-Kutta method if that is zero.
 #define FORCE_FIELDS(_)                                                                                              \
-    _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
-    _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
-    _(integers, begin) _(integers, direction) _(integer, extent) _(integer, position)                          \
+    _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
+    _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \
+    _(integer, sets) _(integers, begin) _(integers, direction) _(integer, extent) _(integer, position)               \
     _(numbers, turning) _(numbers, basis)
 TABLE(ForceTable, FORCE_FIELDS)
 
