@@ -22,14 +22,14 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
     "Python files": 395,
-    "Python lines": 93_300,  # controllers as they are flown: memories, delays, coils, friction of wheels
+    "Python lines": 94_500,  # controllers as they are flown, events in archives and blocks, inputs of batches
     "longest file": 700,
     "isinstance": 513,
     "calls by text": 9,
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
     "C++ lines": 21_000,
-    "test lines": 68_500,
+    "test lines": 69_500,
     "test files that import internals": 80,
 }
 
