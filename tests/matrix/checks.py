@@ -18,6 +18,7 @@ AT_STEPS = "[0, 2, 3, 5]", "[0, 3, 6, 12]"
 """Among the times of a case those of steps, and the numbers of these steps."""
 BY_DIFFERENCES = "e = 2.0**-10\n", "(8.0 * (c - b) - (d - a)) / (12.0 * e)"
 """The derivative along a tenth of a state by differences of order 4 of `a` to `d`, at -2, -1, 1 and 2 times e."""
+NEARER = "e = 2.0**-13\n"
 ACCURATE = "1e-7 * np.abs(expected).max() + 1e-9"
 """What they may be off: their truncation is e^4 / 30 of the fifth derivative, which is 1e-13 where that is of the size
 of a tenth of a state, and less than this where it is 1e5 times as large; rounding of a run is below 1e-12 / e.

@@ -8,7 +8,7 @@ from typing import Any
 import coadjoint as co
 
 from .cases import Case, Refused, accepted, execute, refusals, supported
-from .checks import CHECKS, Check
+from .checks import BY_DIFFERENCES, CHECKS, NEARER, Check
 from .options import Options
 
 AGAIN = 3
@@ -26,7 +26,13 @@ def check_case(case: Case, space: dict[str, Any], checks: Iterable[Check] = CHEC
         for lines in check(case, space):
             count += 1
             try:
-                execute(lines + AGREE, space)
+                try:
+                    execute(lines + AGREE, space)
+                except AssertionError:
+                    # The differences may reach a kink, as where a plate turns edge-on; nearer ones then do not.
+                    if BY_DIFFERENCES[0] not in lines:
+                        raise
+                    execute(lines.replace(BY_DIFFERENCES[0], NEARER) + AGREE, space)
             except co.IntegrationError:
                 raise
             except Exception as error:
