@@ -50,7 +50,7 @@ MEMBERS_OF = (
     (
         "A scheme",
         co.methods.Method,
-        "examples explicit order program properties step symmetric tangent work",
+        "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
     (

@@ -19,7 +19,7 @@ from coadjoint.program.generators import BasisMatrices, given_matrices
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.sources import Multiples, concatenated, monomials_in, products_of
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
-from coadjoint.program.sweeps import JoinRules, Stages, Swept, stages_of
+from coadjoint.program.sweeps import FlowStages, JoinRules, Swept, stages_of
 from coadjoint.program.table import FlowTable
 from coadjoint.program.term_table import FUNCTION, LINEAR, Terms, TermTable
 from coadjoint.systems.coefficients import Key, Monomials, encoded
@@ -32,7 +32,7 @@ class AddedPart(NamedTuple):
     `angles`, generators in `state` and `group`, its `coefficients`, and `counts` of constants of both.
     """
 
-    rows: Stages
+    rows: FlowStages
     terms: Terms
     functions: tuple[FunctionDerivative, ...]
     shares: int
@@ -104,7 +104,7 @@ def _position(flow_table: FlowTable, G: EnergyDerivative) -> int:
     return max(0, min(of_part[0] + 1, last))
 
 
-def _rows(flow_table: FlowTable, method: Swept, position: int) -> Stages:
+def _rows(flow_table: FlowTable, method: Swept, position: int) -> FlowStages:
     count = len(flow_table.parts)
     rules = JoinRules.from_parts(flow_table.parts, flow_table.frequency)
     rules = JoinRules(*(np.insert(column, position, False) for column in rules))

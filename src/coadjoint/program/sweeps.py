@@ -55,7 +55,7 @@ class Swept(Protocol):
         """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K."""
 
 
-class Stages(NamedTuple):
+class FlowStages(NamedTuple):
     """Stage r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h.
 
     Section s has stages section[s] to section[s + 1]: first step, every other step, and the finish before output.
@@ -112,7 +112,7 @@ class JoinRules(NamedTuple):
         return Flows(flows.part, coefficient, flows.moment, turn).take(keep)
 
 
-def stages_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Stages:
+def stages_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> FlowStages:
     """Return the rows of a method, with consecutive flows of one part joined, also across steps."""
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
@@ -128,13 +128,13 @@ def _cached_rows(
     sign: int,
     number: Number,
     precision: int | None,
-) -> Stages:
+) -> FlowStages:
     return _rows(sweeps, processor, joining.source, sign, number)
 
 
 def _rows(
     sweeps: Sequence[Sweep], processor_sweeps: Sequence[Sweep], joining: JoinRules, sign: int, number: Number
-) -> Stages:
+) -> FlowStages:
     kernel = joining.joined(_flows(sweeps, len(joining.timed), number))
     processor = joining.joined(_flows(processor_sweeps, len(joining.timed), number))
     inverse_processor = processor.take(slice(None, None, -1))
@@ -152,7 +152,7 @@ def _rows(
     start, finish = joining.joined(start), joining.joined(finish)
     rows = start.followed_by(step).followed_by(finish)
     ends = np.cumsum([0, len(start.part), len(step.part), len(finish.part)])
-    return Stages(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
+    return FlowStages(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
 
 
 def _flows(sweeps: Sequence[Sweep], parts: int, number: Number) -> Flows:

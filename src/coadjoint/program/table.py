@@ -23,7 +23,7 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
-from coadjoint.program.sweeps import JoinRules, Stages, Swept, stages_of
+from coadjoint.program.sweeps import FlowStages, JoinRules, Swept, stages_of
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -43,7 +43,7 @@ class FlowTable:
     """
 
     system: LiePoissonSystem
-    stages: Stages
+    stages: FlowStages
     parts: Parts
     table: TermTable
     share: NDArray[np.uint32]

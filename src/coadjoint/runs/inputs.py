@@ -196,8 +196,8 @@ class Inputs:
     def check_moved(self, names: Iterable[str], values: Floats) -> None:
         """Raise ValueError if values of torques with these names change other coordinates than momenta."""
         momenta = momenta_of(self._unforced)
-        for name in () if momenta is None else self._named_torques.intersection(names):
-            if self.indices[name].shape == momenta.shape:
+        for name in self._named_torques.intersection(names):
+            if momenta is not None and self.indices[name].shape == momenta.shape:
                 moved = (values[..., self.indices[name]] != 0.0).reshape(-1, len(momenta)).any(axis=0)
                 check_moved(name, self._unforced, moved & ~momenta)
 

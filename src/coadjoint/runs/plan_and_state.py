@@ -63,7 +63,7 @@ class Plan:
             "_layout": self.layout,
             "_saved_points": times.points,
             "_names": loops.names,
-            "_accounts": loops.work_integrals,
+            "_work_integrals": loops.work_integrals,
             "_corrected_groups": loops.corrected_groups,
         }
         self._set_schedule()

@@ -241,7 +241,7 @@ def test_unencrypted_remote_client_warns(address):
 
 def run_one_block(path, number=1):
     ready = PreparedRun(BODY, None, 0.125)
-    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, True, "", 1)
+    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, (), True, "", 1)
 
 
 @pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])

@@ -178,5 +178,5 @@ def test_functions_are_named_by_their_terms():
     "method", [co.GaussLegendre(2), co.Taylor(4), co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1))]
 )
 def test_what_is_not_made_of_flows_has_no_program(method):
-    with refused(TypeError, "no program", "Splitting"):
+    with refused(TypeError, "no flow table", "Splitting"):
         method.flow_table(co.systems.rigid_body(inertia=(1, 2, 2.5)))

@@ -92,8 +92,8 @@ class Loops:
         self.order: NDArray[np.int64] | None = None
         if self.owners is None:
             # Converted to C structures once for all runs.
-            tables = as_structure(compiled[0].tables), as_structure(watches[0].tables)
-            self.groups = [Group(None, compiled[0].name, *tables)]
+            structures = as_structure(compiled[0].tables), as_structure(watches[0].tables)
+            self.groups = [Group(None, compiled[0].name, *structures)]
         else:
             self._structures: dict[int, Hashable] = {}
             columns: Sequence[Columns | None] = self._columns or [None] * len(self.compiled)

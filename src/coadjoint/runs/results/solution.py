@@ -18,7 +18,7 @@ from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.validation import read_bool
 
 DECLARED = [name for name, value in vars(SolutionAttributes).items() if type(value) is cached_property]
-COPIED = (*DECLARED, "_accounts", "_worst", "_starts")
+COPIED = (*DECLARED, "_work_integrals", "_worst", "_starts")
 """Fields of copies; those of `ESTIMATES` if they are known."""
 ESTIMATES = ("_errors_at_end", "_step_error")
 

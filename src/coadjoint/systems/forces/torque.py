@@ -200,7 +200,7 @@ def law_with_memory(law: Torque, system: Any, begin: int, count: int) -> Callabl
         return x[begin : begin + count].copy()
 
     called, which = _called_in_order(law.function, arguments, attitude, velocities, memory)
-    timed = called if which == "x, t" else lambda x, t: called(x)
+    timed: Callable[..., Any] = called if which == "x, t" else lambda x, t: called(x)
 
     def evaluated(x: Any, t: Any) -> Any:
         torque, new = timed(x, t)
@@ -324,7 +324,7 @@ class Torque(StateTorque):
     """
 
     torque: Any
-    arguments: Any = field(default=(), kw_only=True)
+    arguments: Any = field(default=(), kw_only=True, repr=False)
 
     example: ClassVar = {"torque": (0.1, -0.2, 0.3)}
     uses_energy: ClassVar[bool] = False
