@@ -173,7 +173,7 @@ def test_points_without_a_marker_are_not_shown(tmp_path, monkeypatch):
         patched.setattr(os, "replace", stopped)
         co.integrate_ensemble(BODY, states, span, STEP, archive=path, members_per_block=4)
     found = co.open_archive(path)
-    rows, x = 1 + piecewise_run.FIRST_SEGMENT, np.array(found.x)
+    rows, x = 1 + piecewise_run.FIRST_PIECE, np.array(found.x)
     assert rows < 1001 and found.status.tolist() == [1] * 4 + [0] * 7
     np.testing.assert_array_equal(x[:rows, :8], expected.x[:rows, :8])
     assert np.isnan(x[rows:, 4:]).all() and np.isnan(x[1:, 8:]).all()

@@ -183,7 +183,7 @@ def test_a_stopped_process_loses_its_block(tmp_path, monkeypatch):
     stopped = ArchiveStore(folder, *read_root(folder), block.lock_file)
     run = stopped.attributes["archive_run"]
     assert stopped.lock()
-    arguments = str(path), block, PreparedRun(BODY, None, 0.125), True, run, 1
+    arguments = str(path), block, PreparedRun(BODY, None, 0.125), (), True, run, 1
     assert run_block(*arguments) == BUSY
     monkeypatch.setenv("COADJOINT_TIMEOUT", "0.05")
     time.sleep(0.1)

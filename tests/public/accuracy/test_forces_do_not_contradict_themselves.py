@@ -112,8 +112,9 @@ def check_flow(force, system, x, t, order, way):
     except ValueError:
         assert errors[-1] <= floors[-1], errors
         return
-    # Slopes of order ten are those of three or four points above rounding, and vary by half an order.
-    if order > 2 and fitted.order < order:
+    # Slopes of order ten are those of three or four points above rounding, up to one below where a singularity is near,
+    # as that of dry friction. Orders of the extrapolation are even: a column less has a slope of eight.
+    if order > 2 and fitted.order < order - 1.0:
         back = [
             force.flow_of_order(system, y, t + way * tau, -way * tau, order)
             for y, tau in zip(flows, durations, strict=True)

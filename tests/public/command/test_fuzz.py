@@ -76,10 +76,6 @@ initial = {x = [1.0, 0.1, 0.5]}
     [
         ('run = {t_span = [0, 1], step = 0.1, t_eval = [0.25]}\noutput.archive = "a.zarr"', ("t_eval", "archive")),
         (
-            'run = {t_span = [0, 1], step = 0.1}\noutput.archive = "a.zarr"\n[events.e]\ng = "x1"',
-            ("events", "archive"),
-        ),
-        (
             'run = {t_span = [1, 0], step = 0.1}\n[[forces]]\nname = "HeatBath"\nalpha = 1\ntemperature = 1\nseed = 3',
             ("run", "HeatBath"),
         ),

@@ -50,6 +50,7 @@ def exact(inertia, x, h):
         return np.array(end, dtype=float), np.array(R.tolist(), dtype=float)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("turns", [0.03, -0.3, *long_beyond(1, (3.0, 1e-8))])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_motion_in_60_digits(shape, turns, kind):
@@ -126,6 +127,7 @@ def both_modes(values, along, weights):
 BOTH_MODES = jax.jit(both_modes)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("x", "inertia", "h"), long_beyond(3, CASES[::-1]))
 def test_derivatives_are_differences_in_both_modes(x, inertia, h, kind):
     """By all arguments, at equal moments, on axes and at rest; the error is h^6/140 of the seventh derivative."""

@@ -27,7 +27,7 @@ def names() -> tuple[str, ...]:
     Examples
     --------
     >>> names()[:3]
-    ('BetaPlane', 'ControlMomentGyros', 'DoubleBracketDamping')
+    ('BDot', 'BetaPlane', 'ControlMomentGyros')
     """
     return tuple(sorted(kinds()))
 
