@@ -119,7 +119,6 @@ def with_local(y):
 DISPATCHERS = [{}, {"fastmath": True}, {"error_model": "numpy"}, {"locals": {"z": numba.float32}}]
 
 
-@pytest.mark.long
 def test_options_of_compilation_are_in_the_key():
     """Fast arithmetic, division by zero, types of local variables and signatures."""
     inlined = types.FunctionType(with_local.__code__, {"inner": numba.njit(inner)})

@@ -259,6 +259,18 @@ def test_other_settings_damaged_files_and_folders_of_others_compile(tmp_path):
     assert in_another_process(0.5, code=simple) == first
 
 
+@pytest.mark.parametrize(("size", "stored"), [(8, True), (200_000, False)])
+def test_code_with_addresses_of_its_process_is_not_stored(size, stored):
+    """Numba compiles the address of a large global array into machine code."""
+    table = np.linspace(0.0, 1.0, size)
+
+    def read(y, t, out, constants):
+        out[0] = table[size - 1]
+
+    callback = numba.cfunc(compilation.SIGNATURE)(read)
+    assert (machine_code._content_of(callback) is not None) == stored
+
+
 def test_code_that_needs_what_a_process_has_not_is_compiled():
     callback = numba.cfunc(compilation.SIGNATURE)(lambda y, t, out, constants: None)
     content = machine_code._content_of(callback)

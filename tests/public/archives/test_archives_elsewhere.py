@@ -2,6 +2,7 @@
 
 import importlib.util
 import itertools
+import os
 import pickle
 import random
 import shutil
@@ -12,6 +13,7 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
+from fsspec.spec import AbstractFileSystem
 
 import coadjoint as co
 from command import command
@@ -117,6 +119,40 @@ def test_a_later_copy_is_read_when_it_is_opened_again(tmp_path, bucket):
     with refused(ValueError, url, "was resumed to a later end"):
         _ = found.x
     np.testing.assert_array_equal(co.open_archive(url).x, longer.x)
+
+
+class Listed(AbstractFileSystem):
+    """Files of this machine by a file system that keeps its listings, as those of object stores do."""
+
+    cachable = False
+
+    def ls(self, path, detail=True, **_):
+        path = self._strip_protocol(path)
+        if path not in self.dircache:
+            names = [path] if os.path.isfile(path) else [f"{path}/{name}" for name in os.listdir(path)]
+            kinds = {True: "directory", False: "file"}
+            found = [{"name": n, "size": os.path.getsize(n), "type": kinds[os.path.isdir(n)]} for n in names]
+            if names == [path]:
+                return found if detail else names
+            self.dircache[path] = found
+        found = self.dircache[path]
+        return found if detail else [one["name"] for one in found]
+
+    def invalidate_cache(self, path=None):
+        self.dircache.clear()
+
+    def _open(self, path, mode="rb", **_):
+        return open(self._strip_protocol(path), mode)
+
+
+def test_a_listing_that_is_kept_hides_no_later_end(tmp_path):
+    path, files = str(tmp_path / "run.zarr"), Listed()
+    co.integrate(BODY, X, (SPAN[0], SPAN[0] + 5 * STEP), STEP, archive=path)
+    location = fsspec.FSMap(path, files)
+    assert len(co.open_archive(location).t) == 6
+    files.ls(path)
+    longer = co.resume(path, SPAN[1])
+    np.testing.assert_array_equal(co.open_archive(location).x, longer.x)
 
 
 def writers(location):

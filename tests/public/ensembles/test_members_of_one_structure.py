@@ -40,6 +40,20 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
     return whole
 
 
+def test_products_cancel_in_some_members_only():
+    """With equal coefficients of the top's axis some products of the field cancel, in a part of its rows or in all."""
+    rng, systems = np.random.default_rng(0), []
+    for equal in [0, 1, 2, 0, 1, 0, 1, 2, 0, 0, 1, 1] * 2:
+        d = rng.uniform(0.5, 2.0, 6)
+        if equal:
+            d[4] = d[3]
+        if equal == 2:
+            d[5], d[1] = d[3], d[0]
+        energy = {tuple(2 * int(i == k) for i in range(6)): float(d[k] / 2) for k in range(6)}
+        systems.append(co.LiePoissonSystem(co.systems.heavy_top().algebra, co.Polynomial(energy)))
+    assert_as_alone(systems, METHODS["gauss"])
+
+
 def bodies(count, seed=1):
     rng = np.random.default_rng(seed)
     return [co.systems.rigid_body(np.sort(rng.uniform(1.0, 1.9, 3))) for _ in range(count)]
