@@ -213,7 +213,8 @@ OF_FORCES = {
     "Torque": {
         "torque": vector((0.5, -1.0, 0.0), real(), lambda t: np.array([0.0, 0.0, t])).plus(
             outside=(of_nothing, flow, np.eye(3), lambda t: t)
-        )
+        ),
+        "arguments": Domain((None, {}), ({"gain": 0.5}, 3, "gain", math.nan, [1.0])),
     },
     "Viscosity": {"nu": not_negative(), "power": whole(1, 32), "rotation": flag()},
 }

@@ -146,7 +146,7 @@ LEFT_OUT = re.compile(
     r"Force\.(flow|check|field)|hamiltonian_field|co\.System\(|"
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"
-    r"co\.results\.(mark|dataset|rebuild|solution)|Method\.(step|tangent|program|work)|Solution\.check|"
+    r"co\.results\.(mark|dataset|rebuild|solution)|Method\.(step|tangent|flow_table|work)|Solution\.check|"
     r"Splitting\.(sweeps|processor)|co\.equilibrium|"
     r"co\.(Certificate|Choice|Corrector|Equi|Freq|Integr.*Error|Lyap|Modified(F|H)|PhaseD|PreparedR|Rec|Sect|Sol|Therm)"
 )

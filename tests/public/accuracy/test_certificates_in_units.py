@@ -34,6 +34,7 @@ def rows_of(fault):
     return {row.key: row for row in found.rows}
 
 
+@pytest.mark.long
 def test_a_fault_of_a_millionth_of_the_small_group_is_noticed():
     right, wrong = rows_of(0.0), rows_of(1e-6)
     assert not [row for row in right.values() if row.verdict in ("fails", "not decidable here")]

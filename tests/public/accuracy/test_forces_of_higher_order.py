@@ -163,6 +163,7 @@ def test_torques_on_matrices_keep_the_order(order):
     assert errors[0] < 1e-3 and np.log2(errors[0] / errors[1]) > order - 0.5
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", co.forces.names())
 def test_every_force_acts_backward_or_is_refused_by_name(name):
     system = first_fitting(name)

@@ -50,7 +50,7 @@ def exact(inertia, x, h):
         return np.array(end, dtype=float), np.array(R.tolist(), dtype=float)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("turns", [0.03, -0.3, *long_beyond(1, (3.0, 1e-8))])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_motion_in_60_digits(shape, turns, kind):

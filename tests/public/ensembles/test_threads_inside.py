@@ -61,6 +61,7 @@ def equal_ends():
     return co.systems.spin_lattice("chain", SPINS, exchange=exchange, field=(0.1, 0.2, 0.3))
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("make", [equal_ends, *SYSTEMS.values()])
 def test_two_steps_are_those_of_the_plain_reading_of_the_program(make, threads):

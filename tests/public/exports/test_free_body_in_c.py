@@ -131,7 +131,7 @@ def test_drawn_motions_in_60_digits(body, seed, kind):
     check_motion(body, KINDS[kind], m, h, x)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_derivatives_in_60_digits(body, shape, kind):
@@ -341,7 +341,7 @@ def digest_of(body):
 BUILDS = [(name, level, language) for language in ("c", "c++") for level in "2031" for name in compilers()]
 
 
-@pytest.mark.parametrize(("compiler", "level", "language"), long_between(5, BUILDS))
+@pytest.mark.parametrize(("compiler", "level", "language"), long_between(9, BUILDS))
 @pytest.mark.thinned(1)
 def test_compilers_give_the_same_bits(body, source, tmp_path, compiler, level, language):
     """At every level of optimisation, in C and in C++, also where the processor has fused products."""

@@ -213,7 +213,7 @@ def test_drawn_runs_have_the_bits_of_the_library(seed, tmp_path):
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize(Build._fields, long_between(7, [*BUILDS, *builds("c++")]))
+@pytest.mark.parametrize(Build._fields, long_between(14, [*BUILDS, *builds("c++")]))
 def test_compilers_give_the_same_bits(compiler, level, native, language, tmp_path):
     """Angles beyond any reduction, exponentials that overflow, long bodies, squared exponentials, and stages."""
     for name, (system, scheme, step, size, steps) in FAR_RUNS.items():

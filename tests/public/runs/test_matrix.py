@@ -38,12 +38,13 @@ def cases_of(method):
     return new or list(drawn(method, seed=1, each=1, catalogue=0))
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", schemes())
 def test_schemes_on_drawn_systems(method):
     assert check_drawn(cases_of(method))
 
 
+@pytest.mark.long
 def test_systems_that_no_scheme_draws():
     taken = {system for method in schemes() for _, system, *_ in cases_of(method)}
     for system in sorted(set(systems()) - taken):

@@ -76,7 +76,7 @@ def test_forces_of_many_bodies_are_sums_over_fewer(name):
     np.testing.assert_allclose(whole[1], slopes, rtol=0, atol=1e-11 * np.abs(slopes).max())
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("count", [LEAST_SHARED, 81, LEAST_SHARED - 1])
 @pytest.mark.parametrize("name", MAKERS)
 def test_the_same_bits_on_any_number_of_threads(name, count):

@@ -38,7 +38,7 @@ from satellite_forces import (
 each = pytest.mark.parametrize("name", CASES)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @each
 def test_a_run_by_dop853_in_quaternions(name):
     """Order two, with samples at their times; a plate that begins to be lit, and a pulse that ends, within a step."""

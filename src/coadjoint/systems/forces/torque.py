@@ -467,15 +467,15 @@ class Torque(StateTorque):
 
 def _read_arguments(value: Any, torque: Any) -> tuple[tuple[str, Any], ...]:
     """Validate values of the last arguments of a function, a mapping or pairs, and return pairs in their order."""
-    if value is None or not len(value):
+    try:
+        given = {} if value is None else dict(value)
+    except (TypeError, ValueError):
+        raise TypeError(f'arguments is {short(value)}; give names with values: {{"gain": 0.5}}') from None
+    if not given:
         return ()
     if not callable(torque):
         raise TypeError("arguments was given, and the torque is constant; give a function of them")
     names = [one.name for one in parameters_of_function(torque)]
-    try:
-        given = dict(value)
-    except (TypeError, ValueError):
-        raise TypeError(f'arguments is {short(value)}; give names with values: {{"gain": 0.5}}') from None
     last = names[len(names) - len(given) :]
     if {*last} != {*given} or len(given) == len(names) or {*given} & {*OF_LAWS, *STATE_AND_TIME}:
         raise TypeError(
