@@ -197,6 +197,17 @@ def test_ensembles_in_blocks_warn_once(tmp_path):
     np.testing.assert_array_equal(told(lambda: co.resume(tmp_path / "refused.zarr"))[0].x, many.x)
 
 
+def test_of_blocks_the_member_that_lost_its_energy_is_named(tmp_path):
+    """Neither in the first block, nor first in its own."""
+    states = np.tile([1e-3, 2e-3, 1e-3], (8, 1))
+    states[5] = 2.0, 0.5, 1.5
+    given = BODY, states, (0.0, 400.0), 0.5, co.ExplicitRungeKutta()
+    warned(
+        lambda: co.integrate_ensemble(*given, members_per_block=2, archive=tmp_path / "lost.zarr"),
+        "the motion of member 5",
+    )
+
+
 def kepler():
     J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
 

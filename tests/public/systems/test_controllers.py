@@ -231,3 +231,19 @@ def test_what_is_refused(tmp_path):
     for force in (PID, F.Magnetorquers(F.BDot(1.0), PERIOD, B=(0, 0, 1)), F.WheelFriction(0.1)):
         with refused(TypeError, force.label, "exported"):
             co.export_c(co.prepare(free.with_forces(force), co.Splitting(), H), tmp_path / "run.h")
+
+
+def test_each_wheel_has_its_own_friction():
+    """At speeds near those where dry friction falls to zero; wheels in another order have the same in that order."""
+    rng, axes = np.random.default_rng(5), np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.006, 0.0, 0.008]])
+    viscous, coulomb, least = np.array([1e-3, 3e-3, 2e-3]), np.array([0.02, 0.01, 0.04]), np.array([0.5, 2.0, 8.0])
+    speeds, omega = np.array([0.4, -2.5, 7.0]), rng.normal(size=3)
+    s = speeds
+    expected = -viscous * s - coulomb * s / np.sqrt(s * s + least * least)
+    for order in ([0, 1, 2], [2, 0, 1]):
+        force = F.WheelFriction(viscous[order], coulomb[order], least[order])
+        sat = S.body(MOMENTS, wheels=axes[order]).with_forces(force)
+        x = sat.state(angular_velocity=omega, wheel_speeds=speeds[order])
+        found = sat.forces[0].field(sat.unforced, x, 0.0)
+        np.testing.assert_allclose(found[12:], expected[order], rtol=1e-12)
+        assert not found[:12].any()
