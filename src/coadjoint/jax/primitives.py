@@ -114,7 +114,7 @@ def _primitive(name: str, compute: Callable[..., list[Any]], shapes_of: Callable
     def lowered(context: Any, *operands: Any, **parameters: Any) -> Any:
         if getattr(context.module_context.axis_context, "num_devices", None) != 1:
             return mlir.lower_fun(called_back, multiple_results=True)(context, *operands, **parameters)
-        # pure_callback copies large arguments on a thread of the running flow_table, and waits for ever if it has one.
+        # pure_callback copies large arguments on a thread of the running program, and waits for ever if it has one.
         results, _, _ = mlir.emit_python_callback(
             context,
             partial(on_host, **parameters),

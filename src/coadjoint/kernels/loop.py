@@ -131,7 +131,7 @@ WholeRun: Any = ctypes.c_int64 * 9
 class CompiledLoop(CompiledTables):
     """A compiled loop: tables and name in the library; `memory`: numbers of a member that the scheme keeps.
 
-    `work_integrals`: work integrals behind the coordinates, as (force, invariant).
+    `work_integrals`: those behind the coordinates, as (force, invariant).
     """
 
     name: str

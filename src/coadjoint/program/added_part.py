@@ -28,11 +28,11 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class AddedPart(NamedTuple):
-    """A flow table with a last part that moves nothing: `rows` and `terms` of all parts, its numbers of `shares` and
+    """A flow table with a last part that moves nothing: `stages` and `terms` of all parts, its numbers of `shares` and
     `angles`, generators in `state` and `group`, its `coefficients`, and `counts` of constants of both.
     """
 
-    rows: FlowStages
+    stages: FlowStages
     terms: Terms
     functions: tuple[FunctionDerivative, ...]
     shares: int
@@ -82,7 +82,7 @@ def with_added_part(
     if flow_table.group is not None:
         of_group = extended(flow_table.group, BasisMatrices.on_group(system.algebra, given_matrices(group)))
     return AddedPart(
-        rows=_rows(flow_table, method, _position(flow_table, G)),
+        stages=_stages(flow_table, method, _position(flow_table, G)),
         terms=terms,
         functions=G.functions,
         shares=added.size,
@@ -104,7 +104,7 @@ def _position(flow_table: FlowTable, G: EnergyDerivative) -> int:
     return max(0, min(of_part[0] + 1, last))
 
 
-def _rows(flow_table: FlowTable, method: Swept, position: int) -> FlowStages:
+def _stages(flow_table: FlowTable, method: Swept, position: int) -> FlowStages:
     count = len(flow_table.parts)
     rules = JoinRules.from_parts(flow_table.parts, flow_table.frequency)
     rules = JoinRules(*(np.insert(column, position, False) for column in rules))

@@ -19,7 +19,7 @@ from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 class Interpreter:
     """Reference interpreter in the number type of the flow table or the states; slow.
 
-    With series truncated after `count` terms as numbers, flows of exact programs are Lie series, which end there.
+    With series truncated after `count` terms as numbers, flows with exact numbers are Lie series, which end there.
     """
 
     def __init__(self, flow_table: FlowTable, number: Any = None) -> None:

@@ -1,4 +1,4 @@
-"""Export of programs as plain arrays by name: the table that `docs/table.md` documents."""
+"""Export of flow tables as plain arrays by name: the table that `docs/table.md` documents."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ class JoinRules(NamedTuple):
 
 
 def stages_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> FlowStages:
-    """Return the rows of a method, with consecutive flows of one part joined, also across steps."""
+    """Return the stages of a method, with consecutive flows of one part joined, also across steps."""
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
         return _cached_rows(sweeps, processor, Pattern(joining, *joining), sign, number, precision_of(number))

@@ -86,8 +86,7 @@ class EventRun:
             self.arrays.restore_arrays([array[self._order] for array in self._arrays_among(stored)])
             for member, step, (status, residual, reason) in json.loads(bytes(stored[FAILED])):
                 failed[member] = step, (status, residual, reason)
-            for member, (step, failure) in failed.items():
-                run.mark_failed(member, step, *failure)
+                run.mark_failed(member, step, status, residual, reason)
         self._pieces, self._counts, self._failed = [found], np.zeros((members, count), dtype=np.int64), failed
         np.add.at(self._counts, (found.member, found.which), 1)
         self.commit()
@@ -110,26 +109,12 @@ class EventRun:
 
     def _arrays_among(self, stored: Mapping[str, Any]) -> list[NDArray[Any]]:
         """Return the arrays of `stored`, in the order of the members; ValueError if they do not fit this run."""
-        arrays = [stored[f"{ARRAYS}{k}"] for k in range(len(self.arrays.copy()))]
-        for own, array in zip(self.arrays.copy(), arrays, strict=True):
+        of_run = self.arrays.copy()
+        arrays = [stored[f"{ARRAYS}{k}"] for k in range(len(of_run))]
+        for own, array in zip(of_run, arrays, strict=True):
             if (own.shape, own.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"an array of events is {array.dtype} of shape {array.shape}, not {own.shape}")
         return arrays
-
-    @property
-    def number(self) -> int:
-        """Steps so far."""
-        return self.run.number
-
-    @property
-    def reach(self) -> int:
-        """Last step for which there is memory."""
-        return self.run.reach
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no member takes further steps."""
-        return self.run.is_over
 
     def close(self) -> None:
         """Discard what members have saved after their ends, and let the run have its events."""
@@ -143,8 +128,8 @@ class EventRun:
     def advance(self, until: int) -> None:
         """Take the steps up to number `until` in chunks; after an interrupt call `restore`."""
         while True:
-            self._advance_chunk(min(until, self.number + self._max_chunk))
-            if self.number == until or self.is_over:
+            self._advance_chunk(min(until, self.run.number + self._max_chunk))
+            if self.run.number == until or self.run.is_over:
                 break
 
     def commit(self) -> None:

@@ -173,10 +173,8 @@ class Inputs:
             if not are_finite(numbers):
                 raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
             arrays[name] = numbers
-        if defaults is not None or members is None:
-            values = (self.values if defaults is None else defaults).copy()
-        else:
-            values = np.tile(self.values, (members, 1))
+        own = self.values if defaults is None else defaults
+        values = own.copy() if members is None or own.ndim > 1 else np.tile(own, (members, 1))
         for name, numbers in arrays.items():
             indices = self.indices[name]
             values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
@@ -375,13 +373,13 @@ class InputsOfMembers:
 
     def system_of(self, values: Floats) -> Batch:
         """Return the batch of a call; members with one system and the same values have one."""
-        known = dict[tuple[int, bytes], Any]()
+        known, systems = dict[tuple[int, bytes], Any](), []
         for owner, row in zip(self.batch.owners.tolist(), values, strict=True):
             key = owner, row.tobytes()
             if key not in known:
                 known[key] = self.each[owner].system_at(row)
-        keys = zip(self.batch.owners.tolist(), (row.tobytes() for row in values), strict=True)
-        return Batch([known[key] for key in keys], self.batch.axes, self.batch.combined)
+            systems.append(known[key])
+        return Batch(systems, self.batch.axes, self.batch.combined)
 
     def loops(self, method: Method, h: float, representations: Sequence[Representation]) -> Loops:
         """Return loops whose tables take any values of the inputs, of a scheme with fixed parts; h may be negative."""

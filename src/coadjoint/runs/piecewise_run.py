@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from functools import reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -109,17 +109,12 @@ class PiecewiseRun:
 
     def advance(self, until: int) -> None:
         """Take the steps up to number `until`, at most `reach`; an interrupt discards (the last of) them."""
-        events, before = self._events, self.run.state.copy()
+        events, run = self._events, self.run
+        restore = partial(setattr, run, "state", run.state.copy()) if events is None else events.restore
         try:
-            if events is None:
-                self.run.advance(until=until)
-            else:
-                events.advance(until)
+            (events or run).advance(until)
         except BaseException:
-            if events is None:
-                self.run.state = before
-            else:
-                events.restore()
+            restore()
             self.order_undefined = self.run.loops.order is not None
             raise
         if self.run.initial is None:
@@ -141,7 +136,7 @@ class PiecewiseRun:
         taken, seconds, when = -1, 0.0, time.perf_counter()
         if not self.is_over and self.number < last:
             try:
-                for number in in_pieces(self, last, FIRST_PIECE, progress):
+                for number in in_pieces(self, self.advance, last, FIRST_PIECE, progress):
                     now = time.perf_counter()
                     if number == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
                         taken = number

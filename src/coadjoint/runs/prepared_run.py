@@ -688,10 +688,10 @@ class PreparedRun(Immutable):
                 from coadjoint.runs.crossings import FIRST_PIECE, EventRun
 
                 located = EventRun(run, self.watched(events, start.momenta[0], times.t0))
-                deque(in_pieces(located, times.steps, FIRST_PIECE, progress, timed=progress), 0)
+                deque(in_pieces(run, located.advance, times.steps, FIRST_PIECE, progress, progress), 0)
                 located.close()
             else:
-                deque(in_pieces(run, times.steps, 1 if progress else times.steps, progress, timed=progress), 0)
+                deque(in_pieces(run, run.advance, times.steps, 1 if progress else times.steps, progress, progress), 0)
         except KeyboardInterrupt as stopped:
             run.describe_interrupt(stopped, observed)
             raise

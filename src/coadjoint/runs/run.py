@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, Protocol
 
@@ -305,8 +305,8 @@ def first_point_not_finite(series: Any) -> int | None:
     return None if finite.all() else int(np.argmin(finite))
 
 
-class Advancing(Protocol):
-    """A run that takes its steps in pieces: `Run`, `EventRun` or `PiecewiseRun`."""
+class InPieces(Protocol):
+    """How far a run is that takes its steps in pieces, `Run` or `PiecewiseRun`."""
 
     @property
     def number(self) -> int: ...
@@ -314,19 +314,26 @@ class Advancing(Protocol):
     def reach(self) -> int: ...
     @property
     def is_over(self) -> bool: ...
-    def advance(self, until: int) -> None: ...
 
 
-def in_pieces(run: Advancing, until: int, first: int, progress: bool = False, timed: bool = True) -> Iterator[int]:
+def in_pieces(
+    run: InPieces,
+    advance: Callable[[int], None],
+    until: int,
+    first: int,
+    progress: bool = False,
+    timed: bool = True,
+) -> Iterator[int]:
     """Take the steps up to number `until`, and yield their number after each piece, which the caller uses.
 
-    A piece is of `first` steps, and a later one at most four times as long; if `timed`, it takes `PIECE_SECONDS`.
+    `advance` takes the steps up to a number. A piece is of `first` steps, and a later one at most four times as long;
+    if `timed`, it takes `PIECE_SECONDS`.
     """
     size = first
     with progress_bar(until - run.number, progress) as bar:
         while True:
             before, began = run.number, time.perf_counter()
-            run.advance(min(until, run.reach, before + size))
+            advance(min(until, run.reach, before + size))
             taken, seconds = run.number - before, time.perf_counter() - began
             size = paced(taken, seconds, PIECE_SECONDS, 4 * size) if timed else 4 * size
             bar(taken)

@@ -69,13 +69,13 @@ def factors_of(exponents: Exponents) -> list[int]:
     return sorted(factors)
 
 
-def read_coefficient(value: Any, what: str) -> Coefficient:
-    """Validate a coefficient and return it as int, float or Fraction."""
+def read_coefficient(value: Any, what: str, *of: Any) -> Coefficient:
+    """Validate a coefficient and return it as int, float or Fraction; messages name it by `what` and what it is of."""
     if not (is_real(value) and isinstance(value, Rational | float | np.floating)):
-        raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
+        raise TypeError(f"{' '.join([what, *map(short, of)])} must be an int, float or Fraction, not {short(value)}")
     number: Coefficient = exact_number(value) if isinstance(value, Rational) else float(value)
     if not is_finite(number):
-        raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
+        raise ValueError(f"{' '.join([what, *map(short, of)])} is {short(value)}; it must be finite and within float64")
     return number
 
 
@@ -99,10 +99,7 @@ def read_monomials(monomials: Any, dim: Any) -> tuple[dict[Exponents, Coefficien
             raise ValueError(
                 f"exponents {short(key)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
             )
-        if type(value) is float and is_finite(value):
-            collected[exponents] = value
-        else:
-            collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
+        collected[exponents] = read_coefficient(value, "the coefficient of", key)
     if dim is None or dim < 1:
         raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
     return collected, int(dim)

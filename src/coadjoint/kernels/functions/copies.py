@@ -43,7 +43,8 @@ MAX_CACHED = 4096
 """Number of compiled functions that are kept; the oldest one is dropped for the next."""
 _COPIES: dict[str, Any] = {}
 # Called by compiled code only, so that no Python wrappers are compiled.
-INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+WITHOUT_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", **WITHOUT_WRAPPERS}
 Places = Mapping[int, Mapping[str, Place]]
 
 
@@ -105,7 +106,7 @@ class _Copies:
             return module
         if isinstance(value, types.FunctionType) and not is_known(value.__module__ or "") and not _is_typed(value):
             checked = not is_own(value.__module__ or "")
-            new = self._dispatcher(numba.njit(value, error_model="numpy", boundscheck=checked))
+            new = self._dispatcher(numba.njit(value, boundscheck=checked, **INTERNAL_OPTIONS))
             self._made[id(value)] = value, new
             return new
         return self._dispatcher(value) if isinstance(value, numba.core.dispatcher.Dispatcher) else value
@@ -117,7 +118,7 @@ class _Copies:
         if not takes and not unknown and digest in _COPIES:
             return _COPIES[digest]
         copy = self._unfilled(value.py_func)
-        new: Any = type(value)(copy, value.locals, value.targetoptions, **_pipeline(copy))
+        new: Any = type(value)(copy, value.locals, value.targetoptions | WITHOUT_WRAPPERS, **_pipeline(copy))
         self._made[id(value)] = value, new  # before it is filled, since it may call itself
         self._fill(copy, value.py_func)
         if not value._can_compile:

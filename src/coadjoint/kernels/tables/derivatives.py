@@ -200,7 +200,7 @@ def flow_cotangents(
         group_dual = _marked_like(build_action(matrices, parts), tables.group)
     if added is not None:
         index = len(parts)
-        rows, zeros = added.rows, np.zeros(added.shares, dtype=np.int64)
+        rows, zeros = added.stages, np.zeros(added.shares, dtype=np.int64)
         tables = tables._replace(
             longest=max(tables.longest, added.angles),
             only=np.append(tables.only, np.int64(-1)),

@@ -1,4 +1,4 @@
-"""Tables of programs of exact flows."""
+"""Flow tables as the kernels read them."""
 
 from __future__ import annotations
 

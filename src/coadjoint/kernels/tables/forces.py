@@ -95,12 +95,8 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, work_integral: int, work_integrals: int, order: int, compiles: bool = True) -> None:
         self.called: Callable[..., Any] | None = None
-        self._compiles, self.n, self._work_integrals, self._order = (
-            compiles,
-            system.dim,
-            (work_integral, work_integrals),
-            order,
-        )
+        self._compiles, self.n, self._order = compiles, system.dim, order
+        self._work_integrals = work_integral, work_integrals
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
         self.keepalive: tuple[KernelFunction, ...] = ()
 

@@ -114,15 +114,15 @@ class FlowMethod(Method):
         return build_flow_table(cast(Any, system), self, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        return self._program_loop(self.flow_table(system, group=representation), h)
+        return self._flow_loop(self.flow_table(system, group=representation), h)
 
     def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         if type(self).loop is not Method.loop or type(self).compiled is not FlowMethod.compiled:
             return self.loop(system, h, representation)
         self._check_loop(system)
-        return self._program_loop(self.flow_table(system, group=representation), h, compact=representation is None)
+        return self._flow_loop(self.flow_table(system, group=representation), h, compact=representation is None)
 
-    def _program_loop(self, flow_table: FlowTable, h: float, compact: bool = False) -> CompiledLoop:
+    def _flow_loop(self, flow_table: FlowTable, h: float, compact: bool = False) -> CompiledLoop:
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
         tables = flow_tables(flow_table, h, bool(self.compensated), compact)
@@ -134,7 +134,7 @@ class FlowMethod(Method):
 
         check_differentiable(system)
         flow_table = self.flow_table(system)
-        return with_tangents(self._program_loop(flow_table, h), system, flow_table.functions, frame)
+        return with_tangents(self._flow_loop(flow_table, h), system, flow_table.functions, frame)
 
     @property
     def differentiable(self) -> bool:

@@ -50,18 +50,7 @@ class BodyTorque(StateTorque):
 # Systems are immutable, and forces too. Derivatives by differences return to some hundred systems in each step.
 @lru_cache(maxsize=1024)
 def _on_state(force: BodyTorque, system: Any) -> tuple[Callable[..., Any], str]:
-    torque = force.torque_on(system)
-    if force.sees_attitude:
-        return torque_on_state(torque, "x, A, t", system)
-
-    def of_momentum(x: Any, t: Any) -> Any:
-        result = 0.0 * x
-        value = torque(x, t)
-        for i in range(3):
-            result[i] = value[i]
-        return result
-
-    return of_momentum, "x, t"
+    return torque_on_state(force.torque_on(system), "x, A, t" if force.sees_attitude else "x, t", system)
 
 
 def check_one_body(system: Any, label: str) -> None:

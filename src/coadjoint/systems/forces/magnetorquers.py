@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any, ClassVar
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.forces.angular_velocity import PER_BODY, velocity_of
+from coadjoint.systems.forces.angular_velocity import velocity_of
 from coadjoint.systems.forces.body_torque import BodyTorque, cross, limited_by, read_limits, to_body
 from coadjoint.systems.forces.environment_torques import magnetic_field, read_magnetic_field
 from coadjoint.systems.forces.sampled import Sampled
-from coadjoint.systems.forces.torque import check_attitude
+from coadjoint.systems.forces.torque import attitude_of_body, check_attitude
 from coadjoint.validation import read_choice, read_number
 
 COMMANDS = ("torque", "moment")
@@ -175,7 +175,7 @@ class Magnetorquers(Sampled):
     def _field_in_body(self) -> Callable[..., Any]:
         """Return the field in the body frame as a function of (x, t)."""
         field = magnetic_field(self)
-        return lambda x, t: to_body(x[3:PER_BODY].reshape(3, 3), field(t))
+        return lambda x, t: to_body(attitude_of_body(x, t), field(t))
 
     def _law(self, system: Any) -> Callable[..., Any]:
         if not self._measures:

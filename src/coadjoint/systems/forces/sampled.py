@@ -128,6 +128,11 @@ class Sampled(Force):
         return tuple(self.memory)
 
     @property
+    def _memory_size(self) -> int:
+        """How many numbers the law remembers."""
+        return sum(size for _, size in self._remembered)
+
+    @property
     def _measures(self) -> bool:
         """Whether the law is that of the change of a field that the force measures."""
         return False
@@ -173,7 +178,7 @@ class Sampled(Force):
     def _law(self, system: Any) -> Callable[..., Any]:
         """Return the torque of the law, (3,), followed by its new memory, as a function of (x, t)."""
         if self.memory:
-            return law_with_memory(self.law, system, self._first_remembered(system), sum(dict(self.memory).values()))
+            return law_with_memory(self.law, system, self._first_remembered(system), self._memory_size)
         return _law_of(self.law, system)
 
     def _first_remembered(self, system: Any) -> int:
@@ -218,7 +223,7 @@ class Sampled(Force):
         """Raise an error unless a law with a memory returns a torque and a memory of its shape."""
         if self.law.sees_attitude:
             check_attitude(system)
-        size, first = sum(dict(self.memory).values()), self._first_remembered(system)
+        size, first = self._memory_size, self._first_remembered(system)
         rule = f"give the torque, (3,), and the new memory, ({size},)"
         try:
             torque, memory = self.law.values_with_memory(system, x, SAMPLE_TIME, x[first : first + size].copy())
@@ -322,7 +327,7 @@ def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
     """Return the function that writes into y what a force holds after a sample of x."""
     begin, count, period = _begin(force, system), force._count(system), force.period
     law, command = force._law(system), force._command(system)
-    waiting, remembered = count * force.delay, sum(dict(force._remembered).values())
+    waiting, remembered = count * force.delay, force._memory_size
     last, rounded = begin + waiting, force.resolution is not None
     unit = np.array(np.broadcast_to(force.resolution if rounded else 1.0, count), dtype=np.float64)
 

@@ -146,6 +146,11 @@ def torque_vector(torque: Any, system: Any) -> NDArray[np.float64]:
     return result
 
 
+def attitude_of_body(x: Any, t: Any) -> Any:
+    """Return the attitude in the state of one body; Numba compiles it."""
+    return x[3:PER_BODY].reshape(3, 3)
+
+
 def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Callable[..., Any], str]:
     """Return the contribution to x' of a torque on bodies as a function of (t), (x) or (x, t), and which."""
     velocities = velocities_of(system) if "omega" in arguments else None
@@ -157,9 +162,6 @@ def _torque_on_state(
     torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int, velocities: Any
 ) -> tuple[Callable[..., Any], str]:
     count = bodies[0] if bodies else 1
-
-    def attitude_of_body(x: Any, t: Any) -> Any:
-        return x[3:PER_BODY].reshape(3, 3)
 
     def attitudes_of_bodies(x: Any, t: Any) -> Any:
         return np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 1:, :])
@@ -181,7 +183,9 @@ def _torque_on_state(
     if arguments == "t":
         return lambda t: placed(torque(t), 0.0 * t + np.zeros(dim)), "t"  # an array of JAX if t is one
     attitudes = attitudes_of_bodies if bodies else attitude_of_body
-    called, which = _called_in_order(torque, arguments, attitudes, velocities)
+    called, which = torque, arguments
+    if arguments not in PLAIN:
+        called, which = _called_in_order(torque, arguments, attitudes, velocities)
     if which == "x":
         return lambda x: placed(called(x), 0.0 * x), which
     return lambda x, t: placed(called(x, t), 0.0 * x), which
@@ -193,13 +197,10 @@ def law_with_memory(law: Torque, system: Any, begin: int, count: int) -> Callabl
     arguments = law._arguments()
     velocities = velocities_of(system) if "omega" in arguments else None
 
-    def attitude(x: Any, t: Any) -> Any:
-        return x[3:PER_BODY].reshape(3, 3)
-
     def memory(x: Any, t: Any) -> Any:
         return x[begin : begin + count].copy()
 
-    called, which = _called_in_order(law.function, arguments, attitude, velocities, memory)
+    called, which = _called_in_order(law.function, arguments, attitude_of_body, velocities, memory)
     timed: Callable[..., Any] = called if which == "x, t" else lambda x, t: called(x)
 
     def evaluated(x: Any, t: Any) -> Any:
