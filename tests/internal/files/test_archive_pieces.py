@@ -49,6 +49,7 @@ def test_extra_last_point_after_full_chunks(tmp_path, rows, count, events):
 
 @pytest.mark.parametrize("events", [None, EVENTS], ids=["no events", "events"])
 @pytest.mark.parametrize(("every", "x0"), [(2, X), (1, SEVERAL)], ids=["one", "members"])
+@pytest.mark.thinned(2)
 def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0, events):
     """Every saved point of many members or large matrices has chunks of its own."""
     advance, calls, path = PiecewiseRun.advance, [], tmp_path / "run.zarr"

@@ -86,6 +86,7 @@ def test_templates_pointers_and_comments_are_no_expressions():
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("pattern", ["algebra/*.py", "runs/*.py", "kernels/tables/*.py"])
+@pytest.mark.long
 def test_drawn_defects_compile(pattern):
     found = defects_in(ROOT, [pattern])
     wrong = []

@@ -57,6 +57,7 @@ def test_a_fault_of_the_small_group_is_noticed_from_the_bound_on(key):
 
 
 @pytest.mark.parametrize("torque, noticed", [(1e-11, False), (0.0, False), (1e-9, True), (1e-6, True)])
+@pytest.mark.thinned(2)
 def test_a_wrong_torque_is_noticed_above_the_error_of_the_reference(torque, noticed):
     """Of a Runge-Kutta step, whose angular velocity and torque are off by a fraction; the reference has 7e-11."""
 

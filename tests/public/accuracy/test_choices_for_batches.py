@@ -50,6 +50,7 @@ def test_the_choice_is_for_the_member_that_needs_the_smallest_step():
 
 
 @pytest.mark.parametrize(("seed", "members", "span", "accuracy"), [(0, 25, (1, -34), 1e-8), (13, 40, (0, 40), 1e-6)])
+@pytest.mark.thinned(2)
 def test_errors_that_grow_late_are_met(seed, members, span, accuracy):
     """The target is a third of the accuracy, and twice that is accepted. Irregular motions have the largest errors."""
     rng = np.random.default_rng(seed)

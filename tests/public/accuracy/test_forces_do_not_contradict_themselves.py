@@ -128,7 +128,7 @@ def rate(force, system, t, x):
     return force.field(system, x, t)
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_flow_is_that_of_its_field(name):
     """At orders two and ten, from a time other than zero, forward, and backward if the force acts backward."""
@@ -179,7 +179,7 @@ def rows_of_forces(certificate):
     return [row for row in certificate.rows if row.key.partition(" of ")[0] in ("flow", "compiled flow", "work")]
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", long_where(("in orbit", "two fields"), SYSTEMS))
 def test_certificates_of_registered_forces(name):
     """Of those that the kernels have themselves, all on one system, with noise only forward."""

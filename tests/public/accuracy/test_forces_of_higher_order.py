@@ -163,7 +163,7 @@ def test_torques_on_matrices_keep_the_order(order):
     assert errors[0] < 1e-3 and np.log2(errors[0] / errors[1]) > order - 0.5
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", co.forces.names())
 def test_every_force_acts_backward_or_is_refused_by_name(name):
     system = first_fitting(name)
@@ -263,6 +263,7 @@ def test_a_scheme_that_is_not_composed_has_order_two():
 
 
 @pytest.mark.parametrize("order", [6, 8, 10])
+@pytest.mark.thinned(3)
 def test_gradients_of_long_steps_are_those_of_the_flows_of_the_order(order):
     """In steps so long that flows of the fourth order would lead to other states, and so to other derivatives."""
     system, x0 = top(co.forces.Torque(of_momenta), DAMPING)

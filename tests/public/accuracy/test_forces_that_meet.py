@@ -82,7 +82,7 @@ def check_orders(cases, begin):
         assert fine < 1e-4 and np.log2(coarse / fine) / 2 > 1.5, (coarse, fine)
 
 
-@pytest.mark.thinned(33)
+@pytest.mark.thinned(66)
 @pytest.mark.parametrize("begin", [0.0, -1.5])
 @pytest.mark.parametrize("pair", [*itertools.permutations(KINDS, 2)], ids=" then ".join)
 def test_pairs_of_forces_on_a_body(pair, begin):

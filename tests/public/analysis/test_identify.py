@@ -72,6 +72,7 @@ def found_coefficients(found):
 
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.thinned(2)
 def test_exact_trajectories_give_the_hamiltonian(name, backward):
     system, _, t, found = identified(name, backward)
     expected = found.coefficients_of(truth(system))
@@ -82,6 +83,7 @@ def test_exact_trajectories_give_the_hamiltonian(name, backward):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.thinned(2)
 def test_vector_fields_agree_although_casimirs_are_not_found(name):
     system, _, _, found = identified(name)
     states = np.random.default_rng(2).standard_normal((20, system.dim))

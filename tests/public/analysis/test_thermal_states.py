@@ -27,6 +27,7 @@ def check(states, expected, per=1.0, transient=50):
 
 
 @pytest.mark.parametrize("how", METHODS)
+@pytest.mark.thinned(3)
 def test_open_chain_has_the_energy_of_langevin(how):
     """Fisher (1964): -J L(J/kT) for each bond, ferromagnetic or not."""
     for J, kT in ((1.0, 0.3), (-0.7, 1.4)):

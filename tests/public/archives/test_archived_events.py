@@ -242,6 +242,7 @@ def test_copies_without_the_hidden_folder_say_where_the_events_are(tmp_path):
 
 
 @pytest.mark.parametrize("span", [(0.0, 8.0), (1.0, -7.0)])
+@pytest.mark.thinned(2)
 def test_resumption_at_every_step_finds_pairs_of_crossings(tmp_path, span):
     """x1 x1 - c passes zero and back within one step, next to any interruption; it ends the second member."""
     system, sense = co.systems.rigid_body(inertia=(1, 1, 2)), np.sign(span[1] - span[0])

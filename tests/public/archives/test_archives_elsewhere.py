@@ -72,6 +72,7 @@ def outcomes(location, shown):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.thinned(2)
 def test_archives_are_read_from_urls_and_mappings(base, tmp_path, bucket, name):
     url = copied(bucket, base / name, f"{name}.zarr")
     expected = outcomes(base / name, "HERE")
@@ -88,6 +89,7 @@ def test_archives_are_read_from_urls_and_mappings(base, tmp_path, bucket, name):
 
 
 @pytest.mark.parametrize(("name", "kind"), [*itertools.product(NAMES, ("metadata", "chunk")), ("vector", "state")])
+@pytest.mark.thinned(2)
 def test_changed_archives_are_refused_as_local_ones(base, tmp_path, bucket, name, kind):
     refusals = 0
     for seed in range(6):

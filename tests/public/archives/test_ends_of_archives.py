@@ -79,7 +79,7 @@ def test_ends_that_are_sums_of_steps(span, tmp_path):
         resumed.at(beyond)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", [name for name in RUNS if name not in ("members", "start left out")])
 def test_drifts_of_a_longer_run_are_those_of_each_member(tmp_path, name):
     """Steps 1 to 4 lie in one tenth of 31, those of the other pieces in several; then pieces of one step and more."""

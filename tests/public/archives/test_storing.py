@@ -44,7 +44,7 @@ def fields_of(sol, x0):
     return [systems[m % len(systems)].vector_field(state, T0 + m) for m, state in enumerate(states)]
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize(("store", "name"), PAIRS)
 def test_stored_run_equals_the_run(store, name, tmp_path):
     wanted, found = run(name), STORES[store](name, tmp_path)
@@ -240,7 +240,7 @@ COPIES = {
 FILES = {"archive": by_archive, "pieces": by_pieces, "ensemble": by_ensemble, "netcdf": by_netcdf}
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("store", FILES)
 @pytest.mark.parametrize(("kind", "size"), [("so", 4), ("su", 3)])
 def test_copies_keep_the_given_functions(tmp_path, monkeypatch, store, kind, size):

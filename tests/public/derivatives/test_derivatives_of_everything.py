@@ -134,7 +134,7 @@ FORCED = [
 ]
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(("kind", "scheme", "name"), FORCED)
 def test_derivatives_with_forces(kind, scheme, name):
     """Of noise that is frozen, and of torques and dampings at their times, forward, backward and between steps."""

@@ -209,6 +209,7 @@ def test_gradients_of_a_batch_are_by_the_parameters_of_all_members(name):
 
 
 @pytest.mark.parametrize("forces", [(), (F.DoubleBracketDamping(0.125),)], ids=["plain", "damped"])
+@pytest.mark.thinned(2)
 def test_the_rule_of_a_batch_is_the_least_exact_of_its_members(forces):
     """Bodies with equal moments have fewer parts, of which the forms change with the moments."""
     bodies = [body.with_forces(*forces) if forces else body for body in BODIES]

@@ -147,7 +147,7 @@ MAPS = [(along_both, axes) for axes in product((0, None), repeat=4)]
 MAPS += [(pulled_back, axes) for axes in product((0, None), repeat=3)]
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(("function", "axes"), [one for one in MAPS if 0 in one[1]])
 def test_any_of_the_arguments_of_derivatives_may_be_mapped(f, function, axes):
     many = (MANY, INERTIAS, MANY[::-1], INERTIAS) if len(axes) == 4 else (MANY, INERTIAS, COTANGENTS)

@@ -50,7 +50,7 @@ def exact(inertia, x, h):
         return np.array(end, dtype=float), np.array(R.tolist(), dtype=float)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("turns", [0.03, -0.3, *long_beyond(1, (3.0, 1e-8))])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_motion_in_60_digits(shape, turns, kind):
@@ -90,6 +90,7 @@ def test_a_long_step_is_the_closed_form(sign, kind):
         assert np.abs(one - other).max() <= bound
 
 
+@pytest.mark.thinned(2)
 def test_a_tensor_is_that_of_the_rotated_body(kind):
     u, x, I, h = UNITS[kind], np.array((0.3, 0.7, -0.5), kind), np.array((1.0, 1.5, 2.5)), 2.5
     end, A = co.jax.free_body(x, np.eye(3, dtype=kind), I.astype(kind), kind(h))
@@ -129,6 +130,7 @@ BOTH_MODES = jax.jit(both_modes)
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(("x", "inertia", "h"), long_beyond(3, CASES[::-1]))
+@pytest.mark.long
 def test_derivatives_are_differences_in_both_modes(x, inertia, h, kind):
     """By all arguments, at equal moments, on axes and at rest; the error is h^6/140 of the seventh derivative."""
     if kind == np.float32:
@@ -168,6 +170,7 @@ def test_second_derivatives_and_attitudes(kind):
     assert not dx.any()
 
 
+@pytest.mark.thinned(2)
 def test_momenta_of_any_size_and_ensembles(kind):
     x, inertia, h = np.array((0.3, 1.0, 0.2), kind), np.array((1.0, 1.5, 2.5), kind), kind(4.0)
     wanted, A = co.jax.free_body(x, np.eye(3, dtype=kind), inertia, h)

@@ -121,6 +121,7 @@ def gradients(ready, ends, backend="xla", **options):
 
 
 @pytest.mark.parametrize(("name", "span"), long_beyond(len(CASES), CASES + REPEATED))
+@pytest.mark.thinned(3)
 def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     system, method = SYSTEMS[name]()
     ready, (ends, options) = co.prepare(system, method, 0.1), SPANS[span]
@@ -165,6 +166,7 @@ PARAMETRIZED = {
 
 
 @pytest.mark.parametrize("name", long_beyond(3, PARAMETRIZED))
+@pytest.mark.thinned(3)
 def test_parameters_agree_with_the_compiled_backend(name):
     system, method = PARAMETRIZED[name]()
     ready, draw = co.prepare(system, method, 0.05), np.random.default_rng(7)
@@ -399,6 +401,7 @@ print("sharded")
 """
 
 
+@pytest.mark.long
 def test_ensembles_are_sharded_over_devices():
     done = run_python(SHARDED)
     assert done.stdout == "sharded\n", done.stderr
@@ -469,6 +472,7 @@ FORCED = {
 
 
 @pytest.mark.parametrize("name", long_beyond(3, FORCED))
+@pytest.mark.thinned(3)
 def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     """To the bits of the noise; members differ in it. Ten steps round a few times in each of at most 100 operations."""
     system, given = FORCED[name]
@@ -598,6 +602,7 @@ INPUTS = {
 
 
 @pytest.mark.parametrize("name", long_where(["a free body"], INPUTS))
+@pytest.mark.thinned(2)
 def test_inputs_and_gradients_by_them_are_those_of_the_compiled_run(name):
     """Of the linear term, also if they are not given."""
     method, named = INPUTS[name]

@@ -151,6 +151,7 @@ SHARED = {
 
 
 @pytest.mark.parametrize("case", SHARED)
+@pytest.mark.thinned(2)
 def test_memory_of_a_prepared_batch(case):
     """A member takes a column of constants, not tables of its own; with forces copies of these constants."""
     method, options, force = SHARED[case]

@@ -61,7 +61,7 @@ def equal_ends():
     return co.systems.spin_lattice("chain", SPINS, exchange=exchange, field=(0.1, 0.2, 0.3))
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("make", [equal_ends, *SYSTEMS.values()])
 def test_two_steps_are_those_of_the_plain_reading_of_the_program(make, threads):
@@ -135,7 +135,7 @@ MORE = {
 }
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("name", long_where(["two stages by Newton and Krylov", "midpoint by Newton and Krylov"], MORE))
 def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
@@ -182,7 +182,7 @@ def derivatives(system, method, step, threads, reverse="exact"):
     return tangents.x, tangents.energy, gradient
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize(
     ("name", "reverse"),
     [(name, "exact") for name in DIFFERENTIATED]
@@ -223,6 +223,7 @@ spirals = co.LieAlgebra.from_brackets(
 
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), spirals], ids=["so(3)", "e(3)", "spirals"])
+@pytest.mark.thinned(2)
 def test_copies_of_an_algebra_move_as_each_alone(algebra, threads):
     rng, count, steps, n = np.random.default_rng(20), 1100, STEPS, algebra.dim
     M, x0, weights = rng.uniform(0.5, 1.5, (count, n)), *rng.standard_normal((2, count, n))

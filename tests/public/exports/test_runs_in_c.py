@@ -152,7 +152,7 @@ CASES |= {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", CASES)
 def test_every_kind_of_flow_has_the_bits_of_the_library(name, tmp_path):
     system, scheme = CASES[name]
@@ -212,7 +212,7 @@ def test_drawn_runs_have_the_bits_of_the_library(seed, tmp_path):
     check_run(prepared, x0, 5, tmp_path / "run", BUILDS[seed % len(BUILDS)], tangent=prepared.system.dim < 15)
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(Build._fields, long_between(14, [*BUILDS, *builds("c++")]))
 def test_compilers_give_the_same_bits(compiler, level, native, language, tmp_path):
     """Angles beyond any reduction, exponentials that overflow, long bodies, squared exponentials, and stages."""

@@ -80,6 +80,7 @@ def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
         assert part in said
 
 
+@pytest.mark.long
 def test_names_are_no_options_and_no_protocols_of_ffmpeg(fluid, tmp_path, ffmpeg, monkeypatch):
     """ffmpeg reads "-y/run.mp4" as an option, and "http:run.mp4" as an address; a name does not decide the format."""
     ffmpeg(KEEPER)
@@ -189,7 +190,7 @@ def test_every_kind_that_moves_is_tried():
     assert {name for name in moves if "at" in co.plotting.kinds()[name].options} <= set(MOVING) <= moves
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", MOVING)
 def test_frames_are_the_pictures_of_their_times(name, tmp_path, ffmpeg):
     """Whatever the number of frames, and whatever time the picture has; each frame differs from the one before."""
@@ -207,6 +208,7 @@ def test_frames_are_the_pictures_of_their_times(name, tmp_path, ffmpeg):
         np.testing.assert_array_equal(begun[0], frames[0], "movies begin at the start whatever time a picture has")
 
 
+@pytest.mark.long
 def test_the_command_makes_movies_of_forced_systems_too(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     forces = '[[forces]]\nname = "Viscosity"\nnu = 0.1\n'

@@ -67,6 +67,7 @@ def of_member(values, shapes, m):
 @pytest.mark.parametrize("span", [FORWARD, BACKWARD], ids=["forward", "backward"])
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.thinned(6)
 def test_members_have_the_bits_of_systems_with_their_values(name, scheme, span):
     """Those of the batch with the values written in, of each member prepared alone, and of any threads."""
     batch, x, inputs, calls = drawn(name)

@@ -99,7 +99,7 @@ def estimate_of(monkeypatch, make):
     return float(number) * {"MB": 1e6, "GB": 1e9}[unit]
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     "make",
     [

@@ -321,7 +321,7 @@ BODIES = {
 }
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", BODIES)
 def test_torques_ask_for_the_angular_velocity_and_the_attitude_by_name(name):
     """In any order, against the same field by velocities and attitudes of states, followed by a Runge-Kutta scheme."""

@@ -159,6 +159,7 @@ def unload(x):
     return -0.02 * x[12:15]
 
 
+@pytest.mark.long
 def test_coils_unload_wheels_while_these_point():
     """As fast as the mean of the law across the field; the wheels along the axes have three numbers in the state."""
     wheels = F.ReactionWheels(F.Pointing(0.5, 1.5), PERIOD)

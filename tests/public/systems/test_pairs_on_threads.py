@@ -64,6 +64,7 @@ def potential(numbers, maker):
 
 
 @pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.thinned(3)
 def test_forces_of_many_bodies_are_sums_over_fewer(name):
     """V of three groups is the sum over pairs of groups less that over groups, each too small to be shared."""
     maker, groups = MAKERS[name], (range(25), range(25, 50), range(50, 81))

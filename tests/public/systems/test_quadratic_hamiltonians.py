@@ -94,6 +94,7 @@ def test_coefficients_of_polynomials_keep_their_numbers(seed):
         assert doubled.value(np.array(x, dtype=object)) == 2 * wanted
 
 
+@pytest.mark.long
 def test_a_million_coordinates_stay_sparse():
     n = 10**6
     M = scipy.sparse.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])

@@ -38,7 +38,7 @@ from satellite_forces import (
 each = pytest.mark.parametrize("name", CASES)
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(24)
 @each
 def test_a_run_by_dop853_in_quaternions(name):
     """Order two, with samples at their times; a plate that begins to be lit, and a pulse that ends, within a step."""
@@ -52,6 +52,7 @@ def test_a_run_by_dop853_in_quaternions(name):
 
 
 @each
+@pytest.mark.thinned(2)
 def test_members_archives_and_steps_have_the_same_bits(name, tmp_path, no_fsync):
     case, method, span = CASES[name], splitting(2), (0.0, 24 * STEP)
     system, x0 = case.system, case.start
@@ -186,6 +187,7 @@ def test_a_sampled_controller_settles_as_its_matrix():
 
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(order=8)], ids=repr)
 @pytest.mark.parametrize("name", ["ReactionWheels", "ControlMomentGyros"])
+@pytest.mark.long
 def test_motors_keep_the_momentum_in_space(name, method):
     """That of body and rotors together, to rounding; the norm of gimbals too."""
     case = CASES[name]
@@ -466,6 +468,7 @@ def test_a_wheel_that_starts_beyond_its_limit_is_driven_back_only(sign):
         assert co.integrate(sat, x0, (0, 1), STEP).x[-1, 12] == pytest.approx(expected * sign, abs=1e-15)
 
 
+@pytest.mark.long
 def test_gyros_beside_wheels_point_the_body():
     """Their angles come after the speeds of the wheels in the state."""
     gyros = [[(-q, p, 0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in ((1, 0), (0, 1), (-1, 0), (0, -1))]
