@@ -175,6 +175,49 @@ def test_bits_of_members(kind, tmp_path, monkeypatch, no_fsync):
     np.testing.assert_array_equal(co.resume(path, system=system).x, wanted)
 
 
+def test_states_within_steps_and_events_have_the_noise_of_the_member():
+    """Also in the step of a sample, where the law of each member is evaluated with its own errors."""
+    system, t_eval = flown(stream=1), [0.0, 1.05, 2.0, 2.1]
+    x0, event = starts(system, 5), co.Event(co.Polynomial("L1 - 0.15", basis=system.algebra.basis), terminal=True)
+    sol = co.integrate(system, x0, (0, 4), H)
+    found = co.integrate(system, x0, (0, 4), H, t_eval=t_eval)
+    np.testing.assert_array_equal(found.x[[0, 2]], sol.x[[0, 16]])
+    np.testing.assert_array_equal(sol.at(1.05).x, found.x[1])
+    events = co.integrate(system, x0, (0, 4), H, events=event)
+    assert len(events.events.t) == 5 and len({*events.events.t.tolist()}) == 5
+    blocks = co.integrate_ensemble(system, x0, (0, 4), H, events=event, members_per_block=2)
+    np.testing.assert_array_equal(blocks.events.t, events.events.t)
+    for m, start in enumerate(x0):
+        alone = flown(stream=1 + m)
+        for k, point in ((8, 1), (16, 3)):
+            t = float(sol.t[k])
+            step = co.stepper(alone, co.Splitting(), t_eval[point] - t)(sol.x[k, m], t)
+            np.testing.assert_allclose(step, found.x[point, m], rtol=0, atol=1e-15)
+        one = co.integrate(alone, start, (0, 4), H, events=event).events
+        np.testing.assert_array_equal(one.t, events.events.t[events.events.member == m])
+        np.testing.assert_array_equal(one.x, events.events.x[events.events.member == m])
+    ready = co.prepare(system, co.Splitting(), H)
+    with refused(ValueError, "noise", "derivatives"):
+        ready.vjp(x0, (0, 4), t_eval=t_eval)
+    with refused((TypeError, ValueError), "noise", "derivatives"):
+        ready.vjp(x0[0], (0, 4), events=event)
+
+
+def test_errors_of_bodies_with_rotors():
+    """With momenta of wheels and gyros that do not change, as the same errors of a body alone."""
+    tensor = np.array([[1.2, 0.1, -0.05], [0.1, 2.0, 0.15], [-0.05, 0.15, 2.4]])
+    wheels, gyros = 0.05 * np.eye(3), np.eye(3)[[(0, 1), (1, 2)]]
+    found = []
+    for carried in ({}, {"wheels": wheels}, {"gyros": gyros}, {"wheels": wheels, "gyros": gyros}):
+        sat = S.body(tensor, **carried).with_forces(recorder())
+        speeds = {"wheel_speeds": (3.0, -2.0, 1.0)} if "wheels" in carried else {}
+        x = sat.state((0.0, 0.6, 0.0, 0.8), SPIN, **speeds)
+        after = sat.flows[0][1].flow(sat.unforced, x, 1.5, 0.5 * H)
+        found.append(errors(sat, np.stack([x, after]), 1, sat.dim - 12)[0])
+    assert np.abs(found[0]).min() > 1e-5
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (4, 6)), rtol=0, atol=1e-14)
+
+
 def damper(omega):
     return -0.25 * omega
 
