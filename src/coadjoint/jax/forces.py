@@ -148,11 +148,11 @@ class ForceReaders:
         noisy = self._traced(function, "x, t, tau, deviates", 1 + 2 * count * len(noises)).at
 
         def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
-            drawn = [
-                normal_deviates(one.seed, one.stream + member, *part, count)
-                for one in noises
-                for part in ((jnp.floor(t / one.period + 0.5), OF_SAMPLE), (0.0, OF_RUN))
-            ]
+            drawn = []
+            for one in noises:
+                number, stream = jnp.floor(t / one.period + 0.5), one.stream + member
+                drawn.append(normal_deviates(one.seed, stream, number, OF_SAMPLE, count))
+                drawn.append(normal_deviates(one.seed, stream, 0.0, OF_RUN, count))
             return noisy(jnp.concatenate([x, jnp.atleast_1d(tau), *drawn]), t)
 
         return flow

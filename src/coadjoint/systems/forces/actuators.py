@@ -41,8 +41,10 @@ class ReactionWheels(Sampled):
     max_momentum : float or (m,), optional
         Largest momentum of a wheel about its axis in space, its moment times its largest speed. A motor does not drive
         a wheel beyond it.
-    memory, delay, resolution, noise, bias, seed, stream : optional
+    memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the torque of a motor.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -150,8 +152,10 @@ class ControlMomentGyros(Sampled):
         Largest rate of a gimbal (radians per time).
     regularization : float
         The share d, positive.
-    memory, delay, resolution, noise, bias, seed, stream : optional
+    memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the rate of a gimbal.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -271,8 +275,10 @@ class Thrusters(Sampled):
         Torque of the pair about each axis while it fires.
     min_impulse : float or (3,)
         The smallest impulse of a pulse (torque times time).
-    memory, delay, resolution, noise, bias, seed, stream : optional
+    memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the duration of a pulse.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold, the signed durations; ``with_forces`` sets it.
 

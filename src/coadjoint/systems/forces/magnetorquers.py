@@ -111,10 +111,12 @@ class Magnetorquers(Sampled):
         Limit of each component of the moment, in the body frame.
     commands : {"torque", "moment"}
         What the law returns.
-    memory, delay, resolution, noise, bias, seed, stream : optional
+    memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the moment. `BDot` remembers the last field, as ``B1, B2, B3``, and
-        commands nothing at its first sample. The field is measured too, in the frame of the body: noise and bias of
-        ``"field"`` are those of a magnetometer, in units of B; with `BDot` there are no others.
+        commands nothing at its first sample.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`, and of the field in the frame of the body, ``"field"``, in
+        units of B, as of a magnetometer; with `BDot` there are no others.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
