@@ -233,6 +233,19 @@ GAINS = vector((0.5, 0.25, 1.0), real(), 0.5, 0, FULL, number=True).plus(
 )
 LIMITS = optional(vector((0.5, 0.25, 1.0), positive(), 0.5, number=True)).plus(outside=(np.eye(3), (1.0, 2.0)))
 SHARES = Domain((0.25, 0, 0.5, (0.3,)), (-0.1, 1.1, (0.1, 0.2), math.nan, "1", 1j), "specular|diffuse")
+ERRORS = Domain(
+    (None, {}, {"attitude": 0.5}, {"angular_velocity": (0.5, 0, 2.0), "attitude": 1}),
+    (
+        {"attitude": 1.1},
+        {"attitude": -0.1},
+        {"omega": 0.1},
+        {"attitude": (0.1, 0.2)},
+        {"attitude": math.nan},
+        3,
+        "noise",
+    ),
+    "noise|bias",
+)
 HOLDING = {
     "law": instance(co.forces.Pointing(0.5, 1.0), co.forces.Torque((0.0, 0.0, 1.0)))
     .plus(outside=(co.forces.LinearDamping(0.5), co.forces.Torque((1.0, 2.0))))
@@ -242,6 +255,9 @@ HOLDING = {
     "max_torque": LIMITS,
     "memory": Domain((None, {}), ({"integral": 3}, {"integral": 0}, {"i1": 1}, {"held": 1}, 3, "integral", math.nan)),
     "delay": whole(0, 1000, usual=0, tried=2),
+    "noise": ERRORS,
+    "bias": ERRORS,
+    "seed": optional(whole(0, 2**62, usual=1)),
     "resolution": Domain((None, 0.25, 0.125), (0, -0.25, 0.3, math.nan, math.inf, "1", 1j, np.eye(3), (1.0, 2.0))),
 }
 PLACE = Domain((None,), ((1.0, 2.0), math.nan, "1", flow))

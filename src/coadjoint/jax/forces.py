@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
 from coadjoint.methods.forced import Forced, substeps_of
-from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise
 from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 
 Flow = Callable[[Any, Any, Any, Any, Any], Any]
@@ -62,23 +62,23 @@ class ForceReaders:
         self.system, self.field, self.what, self.order = system, field, what, order
         self.functions: tuple[TracedFunction, ...] = ()
 
-    def _traced(self, function: Any, arguments: str) -> TracedFunction:
-        """Return a function of some arguments as one of the state, with a length of a flow behind it, and the time."""
+    def _traced(self, function: Any, arguments: str, behind: int = 0) -> TracedFunction:
+        """Return a function of some arguments as one of the state, with those of a flow behind it, and the time."""
         of_jax, what, n = on_jax(function, self.what), self.what, self.system.dim
         forms: dict[str, Callable[[Any, Any], Any]] = {
             "t": lambda y, t: of_jax(t),
             "x": lambda y, t: of_jax(y),
             "x, t": of_jax,
             "x, t, tau": lambda y, t: of_jax(y[:n], t, y[n]),
+            "x, t, tau, deviates": lambda y, t: of_jax(y[:n], t, y[n], y[n + 1 :]),
         }
-        is_flow = arguments == "x, t, tau"
 
         def reference() -> Reference:
-            compiled = compiled_force_function(function, arguments, n + is_flow, n, what)
+            compiled = compiled_force_function(function, arguments, n + behind, n, what)
             return partial(compiled.values, results=n)
 
         traced = TracedFunction(
-            lambda y, t: jnp.reshape(forms[arguments](y, t), n), reference, np.arange(n), what, is_flow
+            lambda y, t: jnp.reshape(forms[arguments](y, t), n), reference, np.arange(n), what, behind
         )
         self.functions = (traced,)
         return traced
@@ -139,9 +139,23 @@ class ForceReaders:
             return of_time
         return extrapolated if columns else of_state
 
-    def flow(self, function: Any) -> Flow:
-        traced = self._traced(function, "x, t, tau").at
-        return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
+    def flow(self, function: Any, noises: Sequence[SampleNoise] = ()) -> Flow:
+        """Return a given flow, also of the deviates of laws that measure with noise."""
+        if not noises:
+            traced = self._traced(function, "x, t, tau", 1).at
+            return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
+        count = 3 * len(MEASURED)
+        noisy = self._traced(function, "x, t, tau, deviates", 1 + 2 * count * len(noises)).at
+
+        def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            drawn = []
+            for one in noises:
+                number, stream = jnp.floor(t / one.period + 0.5), one.stream + member
+                drawn.append(normal_deviates(one.seed, stream, number, OF_SAMPLE, count))
+                drawn.append(normal_deviates(one.seed, stream, 0.0, OF_RUN, count))
+            return noisy(jnp.concatenate([x, jnp.atleast_1d(tau), *drawn]), t)
+
+        return flow
 
     def mode_rates(self, *_: Any) -> Flow:
         raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")

@@ -218,14 +218,14 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
 class TracedFunction(NamedTuple):
     """A function of numbers y and the time as JAX operations; `reference`: as compiled, None for one of JAX.
 
-    y are the numbers at `coordinates` of a state; for a flow, followed by the step length.
+    y are the numbers at `coordinates` of a state; for a flow, followed by others: the step length, and deviates.
     """
 
     at: Callable[[Any, Any], Any]
     reference: Callable[[], Reference] | None
     coordinates: Any
     what: str
-    is_flow: bool = False
+    behind: int = 0
 
 
 def gradient_of(term: FunctionTerm) -> TracedFunction:
@@ -271,12 +271,12 @@ def compare_with_compiled(
     references = [one.reference() for one in compared if one.reference is not None]
     together = jax.jit(lambda numbers, t: [one.at(y, t) for one, y in zip(compared, numbers, strict=True)])
     for x in states:
-        numbers = [np.append(x[one.coordinates], [length] * one.is_flow) for one in compared]
+        numbers = [np.append(x[one.coordinates], [length] * one.behind) for one in compared]
         for t in times:
             with jax.ensure_compile_time_eval():
                 found = [np.asarray(values) for values in together(numbers, t)]
             for one, reference, y, values in zip(compared, references, numbers, found, strict=True):
-                difference = first_difference(reference, values, y, t, one.is_flow)
+                difference = first_difference(reference, values, y, t, one.behind)
                 if difference is not None:
                     raise TypeError(
                         f"{one.what} is another function where JAX traces it, with {difference}; assign entries of new "

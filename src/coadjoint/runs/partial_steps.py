@@ -162,8 +162,9 @@ SINGLE_THREAD_NUMBERS = 2**10
 
 
 def noises_of(system: Any) -> list[str]:
-    """Return the labels of the forces that are noise."""
-    return [label for label, force in zip(system.labels, system.forces, strict=True) if force.random]
+    """Return the labels of the forces that are noise over whole steps; that of measurements is at their beginning."""
+    forces = zip(system.labels, system.forces, strict=True)
+    return [label for label, force in forces if force.random and not force.sampled]
 
 
 def reject_noise(system: Any) -> None:
@@ -270,7 +271,8 @@ class PartialSteps:
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
         state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
         starts, steps = times[rows].astype(np.float64), np.where(filled, lengths[rows], 0.0)
-        schedule = partial_step_schedule(starts, steps, self._inside)
+        numbers = np.ascontiguousarray(owners[rows], dtype=np.int64)
+        schedule = partial_step_schedule(starts, steps, numbers, self._inside)
         with limited_blas_threads(loops.rows, workers):
             run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops.raised, workers)
         slots = np.empty(len(momenta), dtype=np.int64)
@@ -292,10 +294,21 @@ class PartialSteps:
         )
 
 
-def check_partial_steps(system: Any, moments: OutputTimes) -> None:
-    """Reject output times between steps for systems without partial steps (noise)."""
+def check_partial_steps(system: Any, moments: OutputTimes, *, differentiated: bool = False) -> None:
+    """Reject output times between steps for systems without partial steps (noise), or without derivatives of them."""
     if np.any(moments.length):
         reject_noise(system)
+        if differentiated:
+            reject_noisy_derivatives(system)
+
+
+def reject_noisy_derivatives(system: Any) -> None:
+    """Reject a system with noise for derivatives of states between two steps, or at events."""
+    if system.has_noise:
+        raise ValueError(
+            f"{system.of_member(0).name} has noise, and states between two steps or at events have no derivatives "
+            "then; give times that are whole numbers of steps from the start, and no events"
+        )
 
 
 def resample(run: Run, moments: OutputTimes) -> None:

@@ -148,6 +148,8 @@ def _difference(first: Any, other: Any) -> str:
             return f"has {own}, and member 0 has {others}"
         if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
             return "has forces that keep other Casimirs than those of member 0"
+        if [force.random for force in first.forces] != [force.random for force in other.forces]:
+            return "has forces with noise where member 0 has none, or none where it has; give noise of size 0"
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:

@@ -73,8 +73,8 @@ class Parameter(NamedTuple):
 def with_value(force: Any, field: str, value: Floats) -> Force:
     """Return the force with another value of a parameter."""
     outer, _, inner = field.partition(".")
-    if outer == "arguments":
-        return replace(force, arguments={**dict(force.arguments), inner: value})
+    if outer in force.named_values:
+        return replace(force, **{outer: {**dict(getattr(force, outer)), inner: value}})
     if inner:
         return replace(force, **{outer: with_value(getattr(force, outer), inner, value)})
     return replace(force, **{field: value if value.ndim else float(value)})
@@ -100,7 +100,7 @@ def _numbers_of(force: Force) -> Iterator[tuple[str, Floats]]:
     for field, given in (force.parameters() if is_dataclass(type(force)) else {}).items():
         if isinstance(given, Force):
             yield from ((f"{field}.{inner}", value) for inner, value in _numbers_of(given))
-        elif field == "arguments":
+        elif field in force.named_values:
             yield from ((f"{field}.{name}", np.asarray(value, dtype=np.float64)) for name, value in given)
         elif field not in force.selectors and (value := real_numbers(given)) is not None:
             yield field, value

@@ -228,13 +228,13 @@ def numbers_at_samples(function: Callable[..., Any], n: int, timed: bool) -> lis
 
 
 def first_difference(
-    reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, is_flow: bool = False
+    reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, behind: int = 0
 ) -> str | None:
     """Return how values differ from those of a function at numbers y and a time beyond rounding; None if not."""
-    # Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
+    # Of a flow, a function of a state with other numbers behind it, the changes of the state are compared.
     # Values differ by rounding if they are those at arguments that are moved by this part of themselves. One that is
     # not finite, as that of a compiled function that raises, may be finite if it is so there.
-    states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))
+    states = y[: len(y) - behind] if behind else np.zeros(np.shape(found))
     with np.errstate(all="ignore"):
         wanted = np.asarray(reference(y, t), dtype=np.float64)
         known, finite = np.isfinite(wanted), np.isfinite(found)
@@ -246,7 +246,7 @@ def first_difference(
         for signs in np.random.default_rng(SEED).choice([-1.0, 1.0], (4, len(y) + 1)):
             moved = y * (1.0 + MOVED * signs[:-1])
             there = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64)
-            change = there - wanted - (moved[: len(states)] - y[: len(states)] if is_flow else 0.0)
+            change = there - wanted - (moved[: len(states)] - y[: len(states)] if behind else 0.0)
             tolerance = np.where(known == np.isfinite(there), np.fmax(tolerance, 4.0 * np.abs(change)), np.inf)
     wrong = ~(off <= tolerance)
     if not wrong.any():

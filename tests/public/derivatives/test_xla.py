@@ -441,6 +441,7 @@ def filtered(omega, memory):
     return -0.5 * rate, rate
 
 
+SENSED = {"attitude": 0.05, "angular_velocity": (0.1, 0.2, 0.3)}
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
     "energy of the time": (IN_TIME, [forces.DoubleBracketDamping(0.9)]),
@@ -449,6 +450,15 @@ FORCED = {
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
     "memory": (None, [forces.Sampled(forces.Torque(filtered), period=0.2, memory={"rate": 3}, delay=1)]),
+    "sensors": (
+        None,
+        [
+            forces.Sampled(
+                forces.Torque(filtered), 0.2, memory={"rate": 3}, noise=SENSED, bias=SENSED, seed=7, stream=2
+            ),
+            forces.Magnetorquers(forces.BDot(0.8), period=0.2, B=around, noise={"field": 0.1}, seed=2**40),
+        ],
+    ),
     "coils": (None, [forces.Magnetorquers(forces.BDot(0.8), period=0.2, B=around, max_moment=0.3)]),
     "full damping": (BODY, [forces.LinearDamping(RATES), forces.LinearDamping(0.2, (0.3, 0.0, -0.5))]),
     "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),

@@ -26,7 +26,7 @@ from coadjoint.kernels.tables.steps import (
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.coefficients import linear_of, with_linear
-from coadjoint.systems.forces.base import Force, Noise
+from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
 from coadjoint.systems.forces.torque import extrapolation_columns
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
@@ -36,6 +36,7 @@ NO_NUMBERS = np.zeros(1)
 class ForceTable(NamedTuple):
     """A force as the kernels read it, with the index of its first `work_integral`, and their number `work_integrals`.
     The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
+    Of a flow `sets` is the number of laws with noise, with seeds and streams as `direction`, and periods as `rate`.
     """
 
     kind: int
@@ -129,9 +130,15 @@ class _ForceTableBuilder:
         noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
         return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
 
-    def flow(self, function: Callable[..., Any]) -> ForceTable:
-        self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
-        return self._table("BY_FLOW")
+    def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> ForceTable:
+        count, what = 3 * len(MEASURED), "the flow of a force"
+        if not noises:
+            self._compile(function, "x, t, tau", self.n + 1, what)
+            return self._table("BY_FLOW")
+        self._compile(function, "x, t, tau, deviates", self.n + 1 + 2 * count * len(noises), what)
+        direction = np.array([(one.seed, one.stream) for one in noises], dtype=np.int64).ravel()
+        periods = [one.period for one in noises]
+        return self._table("BY_FLOW", periods, sets=len(noises), direction=direction, extent=count)
 
     def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layer: int) -> ForceTable:
         flat = np.concatenate(rates).astype(np.complex128)
@@ -177,12 +184,12 @@ def compiled_force_function(
 ) -> CompiledFunction:
     """Compile the function of a force, as a function of `size` numbers and the time; `shape` is that of a matrix."""
     require_packages(f"{what}, a Python function,", "numba")
-    adapted, timed = _adapted_arguments(function, arguments, shape), arguments != "x"
+    adapted, timed = _adapted_arguments(function, arguments, results, shape), arguments != "x"
     return compiled_function(adapted, size, results, scalar=False, flat=True, timed=timed, what=what)
 
 
 def _adapted_arguments(
-    function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None
+    function: Callable[..., Any], arguments: str, n: int, shape: tuple[int, ...] | None
 ) -> Callable[..., Any]:
     """Return a function of (y) or (y, t) from one with other arguments; `shape` is that of a matrix, if complex."""
     if shape is not None:
@@ -196,7 +203,10 @@ def _adapted_arguments(
     def of_flow(y: Any, t: float) -> Any:
         return function(y[:-1], t, y[-1])
 
-    return of_time if arguments == "t" else of_flow
+    def of_noisy_flow(y: Any, t: float) -> Any:
+        return function(y[:n], t, y[n], y[n + 1 :])
+
+    return {"t": of_time, "x, t, tau": of_flow, "x, t, tau, deviates": of_noisy_flow}[arguments]
 
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:

@@ -21,7 +21,7 @@ _packed_schedule = packer(
     "Schedule",
     (
         *("t0", "h", "steps", "save_every", "passed", "watching", "marked", "marks"),
-        *("starts", "lengths", "events", "threads"),
+        *("starts", "lengths", "numbers", "events", "threads"),
     ),
 )
 """Pack a schedule (steps, saved steps, steps with invariants, addresses of own steps and events or 0)."""
@@ -57,16 +57,18 @@ def schedule_of(
     """Return a schedule as bytes for the loops; the arrays of marks and events must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
     run = t0, h, steps, save_every, passed, watching
-    return _packed_schedule(*run, marked, address_of_marks, 0, 0, events, threads)
+    return _packed_schedule(*run, marked, address_of_marks, 0, 0, 0, events, threads)
 
 
 SCHEDULE_BYTES = len(schedule_of(0.0, 0.0, 0, 1, False))
 SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
-def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64], threads: int) -> bytes:
-    """Return a schedule of one step of its own for each member, without energy; the arrays must live as long."""
-    addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
+def partial_step_schedule(
+    starts: NDArray[np.float64], lengths: NDArray[np.float64], numbers: NDArray[np.int64], threads: int
+) -> bytes:
+    """Return a schedule of one step of its own for each row, without energy; the arrays must live as long."""
+    addresses = (SINGLE_STEP_MARK.ctypes.data, *(one.ctypes.data for one in (starts, lengths, numbers)))
     return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, threads)
 
 

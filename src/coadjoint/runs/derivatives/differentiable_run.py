@@ -153,7 +153,7 @@ class Trajectory:
             self._take_steps(run.prepared, self.times)
             moments = OutputTimes(self.times.saved_times, self.steps, np.zeros(len(self.steps)))
         else:
-            check_partial_steps(run.system, moments)
+            check_partial_steps(run.system, moments, differentiated=True)
             self._take_steps(run.prepared, self.times.with_saved_steps(moments.marks))
             resample(self._run, moments)
         self._locate(moments.number, moments.length)

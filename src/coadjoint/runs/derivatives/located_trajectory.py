@@ -15,7 +15,7 @@ from coadjoint.runs.crossings import WatchedEvents, coordinate_of
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.segments import Segment
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.partial_steps import PartialSteps, reject_noisy_derivatives
 from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -34,6 +34,7 @@ class LocatedTrajectory(Trajectory):
     def _integrate(self, run: DifferentiableRun, given: Arguments, moments: OutputTimes | None) -> None:
         prepared, times = run.prepared, self.times
         assert self.start.single
+        reject_noisy_derivatives(run.system)
         self.solution = prepared.run(**given.keywords)
         steps = prepared.at_fixed_steps(run.scheme)
         self.loops = steps.loops(times.h)

@@ -60,7 +60,7 @@ class ParametrizedRun:
         self._run = DifferentiableRun(prepared)
         self.times, self.moments = times, moments = prepared.times_of(t_span, save_every, t_eval)
         if moments is not None:
-            check_partial_steps(prepared.system, moments)
+            check_partial_steps(prepared.system, moments, differentiated=True)
         self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t

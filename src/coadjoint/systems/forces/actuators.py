@@ -43,6 +43,8 @@ class ReactionWheels(Sampled):
         a wheel beyond it.
     memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the torque of a motor.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -81,7 +83,7 @@ class ReactionWheels(Sampled):
         most = np.array(np.broadcast_to(np.inf if self.max_torque is None else self.max_torque, count))
         limited = self.max_torque is not None
 
-        def command(torque: Any, x: Any, t: Any) -> Any:
+        def command(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
             motors = -(share[:, 0] * torque[0] + share[:, 1] * torque[1] + share[:, 2] * torque[2])
             return np.minimum(np.maximum(motors, -most), most) if limited else motors
 
@@ -152,6 +154,8 @@ class ControlMomentGyros(Sampled):
         The share d, positive.
     memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the rate of a gimbal.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -201,8 +205,8 @@ class ControlMomentGyros(Sampled):
         at_zero, at_right = (np.ascontiguousarray(gyros[:, k]) for k in (0, 1))
         added = self.regularization * float((at_zero * at_zero).sum()) / 3.0
 
-        def command(torque: Any, x: Any, t: Any) -> Any:
-            N = limit(torque, x, t)
+        def command(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
+            N = limit(torque, x, t, deviates)
             # B B^T with the columns of B, and its inverse by cofactors.
             xx, yy, zz, xy, xz, yz = added, added, added, 0.0, 0.0, 0.0
             for k in range(count):
@@ -273,6 +277,8 @@ class Thrusters(Sampled):
         The smallest impulse of a pulse (torque times time).
     memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the duration of a pulse.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`.
     first : int
         Index of its first number among those that forces hold, the signed durations; ``with_forces`` sets it.
 
@@ -314,7 +320,7 @@ class Thrusters(Sampled):
         full, least = (np.array(np.broadcast_to(value, 3)) for value in (self.max_torque, self.min_impulse))
         period = self.period
 
-        def command(torque: Any, x: Any, t: Any) -> Any:
+        def command(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
             impulse = np.minimum(np.abs(torque), full) * period
             return np.where(impulse >= least, np.copysign(impulse / full, torque), 0.0)
 

@@ -30,6 +30,25 @@ class Noise(NamedTuple):
     sets: tuple[tuple[int, ...], ...]
 
 
+MEASURED = "attitude", "angular_velocity", "field"
+"""What sampled laws may measure with noise: the order of the deviates, three each."""
+OF_SAMPLE, OF_RUN = 2, 3  # parts of the deviates of measurements, as in ``forces/force.hpp``
+
+
+class SampleNoise(NamedTuple):
+    """The noise of a law that is sampled: its seed, the stream of the first member, and the period."""
+
+    seed: int
+    stream: int
+    period: float
+
+    def deviates(self, t: Any) -> NDArray[np.float64]:
+        """Return the normal deviates of the sample at a time, followed by those that all samples have."""
+        count, number = 3 * len(MEASURED), float(np.floor(t / self.period + 0.5))
+        parts = (number, OF_SAMPLE), (0.0, OF_RUN)
+        return np.concatenate([normal_deviates(self.seed, self.stream, *one, count) for one in parts])
+
+
 class ForceReader(Protocol):
     """Interface that passes a force to the tables of the kernels."""
 
@@ -45,8 +64,8 @@ class ForceReader(Protocol):
     def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> Any:
         """Register x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P, L are numbers, (n,) or (n, n)."""
 
-    def flow(self, function: Callable[..., Any]) -> Any:
-        """Register a flow, a function of (x, t, tau)."""
+    def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> Any:
+        """Register a flow, a function of (x, t, tau), and with noises also of the deviates of all."""
 
     def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> Any:
         """Register c' = -rate (c - c of `still`) for modes of a matrix; lists over diagonals."""
@@ -69,7 +88,7 @@ class Force(Abstract):
     """Whether it can run backward in time, as schemes of order above two require in some substeps."""
 
     random: ClassVar[bool] = False
-    """Whether it is random, and therefore has no field."""
+    """Whether it draws random numbers, for whole steps: a diffusion, which has no field, or noise of measurements."""
 
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
@@ -79,6 +98,9 @@ class Force(Abstract):
 
     selectors: ClassVar[tuple[str, ...]] = ()
     """Parameters that select among cases, by which runs are not differentiated although they are numbers."""
+
+    named_values: ClassVar[tuple[str, ...]] = ()
+    """Parameters that are pairs of names and numbers, by which runs are differentiated."""
 
     moves: ClassVar[tuple[str, ...]] = ("momentum",)
     """Kinds of the coordinates that it changes, see ``layout`` of `LiePoissonSystem`."""

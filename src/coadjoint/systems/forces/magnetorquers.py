@@ -114,6 +114,9 @@ class Magnetorquers(Sampled):
     memory, delay, resolution : optional
         As of `Sampled`; the resolution is that of the moment. `BDot` remembers the last field, as ``B1, B2, B3``, and
         commands nothing at its first sample.
+    noise, bias, seed, stream : optional
+        The errors of what the law measures, as of `Sampled`, and of the field in the frame of the body, ``"field"``, in
+        units of B, as of a magnetometer; with `BDot` there are no others.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
@@ -165,6 +168,10 @@ class Magnetorquers(Sampled):
         return hasattr(self.law, "is_measured")
 
     @property
+    def _measured(self) -> tuple[str, ...]:
+        return ("field",) if self._measures else (*super()._measured, "field")
+
+    @property
     def _remembered(self) -> tuple[tuple[str, int], ...]:
         return (("B", 3),) if self._measures else super()._remembered
 
@@ -177,13 +184,20 @@ class Magnetorquers(Sampled):
         field = magnetic_field(self)
         return lambda x, t: to_body(attitude_of_body(x, t), field(t))
 
+    def _measured_field(self) -> Callable[..., Any]:
+        """Return what a magnetometer measures as a function of (x, t, deviates)."""
+        field, error = self._field_in_body(), self._error("field")
+        if error is None:
+            return lambda x, t, deviates: field(x, t)
+        return lambda x, t, deviates: field(x, t) + error(deviates)
+
     def _law(self, system: Any) -> Callable[..., Any]:
         if not self._measures:
             return super()._law(system)
-        measured, factor, begin = self._field_in_body(), -self.law.gain / self.period, self._first_remembered(system)
+        measured, factor, begin = self._measured_field(), -self.law.gain / self.period, self._first_remembered(system)
 
-        def evaluated(x: Any, t: Any) -> Any:
-            b, before = measured(x, t), x[begin : begin + 3]
+        def evaluated(x: Any, t: Any, deviates: Any) -> Any:
+            b, before = measured(x, t, deviates), x[begin : begin + 3]
             result = 0.0 * x[:6]
             if before[0] != 0.0 or before[1] != 0.0 or before[2] != 0.0:
                 for i in range(3):
@@ -195,14 +209,14 @@ class Magnetorquers(Sampled):
         return evaluated
 
     def _command(self, system: Any) -> Callable[..., Any]:
-        measured = self._field_in_body()
+        measured = self._measured_field()
         first, last = limited_by(self.max_torque), limited_by(self.max_moment)
 
-        def of_moment(moment: Any, x: Any, t: Any) -> Any:
+        def of_moment(moment: Any, x: Any, t: Any, deviates: Any) -> Any:
             return last(first(moment))
 
-        def of_torque(torque: Any, x: Any, t: Any) -> Any:
-            b = measured(x, t)
+        def of_torque(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
+            b = measured(x, t, deviates)
             square = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
             return last(cross(b, first(torque)) / (square + (square == 0.0)))
 

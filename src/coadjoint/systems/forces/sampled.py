@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,13 +15,17 @@ from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_poin
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.body_torque import Pointing, check_one_body, limited_by, read_limits
+from coadjoint.systems.bodies.inertia import inverse_of
+from coadjoint.systems.forces.angular_velocity import velocity_map
+from coadjoint.systems.forces.base import MEASURED, Force, ForceReader, SampleNoise, read_seed
+from coadjoint.systems.forces.body_torque import Pointing, check_one_body, cross, limited_by, read_limits
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, law_with_memory, sample_state
-from coadjoint.validation import read_integer, read_positive
+from coadjoint.validation import read_finite, read_integer, read_positive, set_fields
 
 DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square
 MAX_DELAY, MAX_MEMORY = 1000, 4096  # periods, and numbers: far above those of controllers, and small in memory
+COUNT = 3 * len(MEASURED)  # of the deviates of a law at a sample; those of its biases follow
+MAX_ANGLE = 1.0  # radians: far above the errors of sensors, and below what degrees would be
 ON_GRID = 1e-9  # part of a step by which a time may miss a whole number of steps, by rounding
 
 
@@ -40,6 +44,13 @@ class Sampled(Force):
     coordinates of the given names, ``integral1`` and so on, and starts at zero, or where ``system.state(...,
     memory={"integral": ...})`` lets it start.
 
+    What the law measures may have errors: Gaussian noise, independent at each sample and about each axis, and a bias,
+    drawn once for each member, from which the noise deviates. The law sees a body that is turned by a small rotation
+    about its axes, and an angular velocity with an error added, also in its argument ``x``. The errors are a function
+    of the seed, the number of the member and that of the sample only: they do not depend on the step, on the number of
+    threads, on other members, or on how often a run is interrupted and resumed. Derivatives of runs are those with the
+    same errors.
+
     Parameters
     ----------
     law : Torque, Pointing or another torque on a body
@@ -55,15 +66,27 @@ class Sampled(Force):
         Number of periods after which a command acts; until the first does, none acts.
     resolution : float or one for each command, optional
         Commands are rounded to multiples of it; limits are multiples of it too.
+    noise : mapping, optional
+        Standard deviations of the noise of what the law measures, a number or one for each axis of the body:
+        ``"attitude"`` in radians, at most 1, and ``"angular_velocity"`` in radians per time. A rotation by the angle a
+        about the unit vector n has the error ``2 tan(a/2) n``.
+    bias : mapping, optional
+        Standard deviations of the biases, constant in a run, by the same names.
+    seed : int, optional
+        Seed of the errors, from 0 to 2^62. It is required for noise and bias, so that no two runs share them by
+        accident.
+    stream : int
+        Member m of a run has the errors number ``stream + m`` of the seed. With stream=m a single run is bit-identical
+        to member m of an ensemble.
     first : int
         Index of its first number among those that forces hold; ``with_forces`` sets it.
 
     Raises
     ------
     TypeError, ValueError
-        The law is no torque, returns other shapes, or has a memory where none is given, or the system is not made by
-        `co.systems.body`. In runs: the step does not divide the period, the start is no whole number of steps, or time
-        runs backward.
+        The law is no torque, returns other shapes, or has a memory where none is given; there is noise without a seed,
+        or of what is not measured; or the system is not made by `co.systems.body`. In runs: the step does not divide
+        the period, the start is no whole number of steps, or time runs backward.
 
     Examples
     --------
@@ -87,6 +110,16 @@ class Sampled(Force):
     >>> sol = co.integrate(sat, sat.state(), (0, 150), 0.125)
     >>> bool(sol.rotation[-1].magnitude() < 1e-5), sol.x[-1, -3:].round(3) + 0.0
     (True, array([0.4, 0. , 0. ]))
+
+    A star tracker and a gyroscope, whose bias is that of the member:
+
+    >>> law, errors = co.forces.Pointing(stiffness=0.5, damping=1.5), {"attitude": 1e-4, "angular_velocity": 2e-5}
+    >>> flown = co.forces.Sampled(law, 0.5, noise=errors, bias={"angular_velocity": 1e-4}, seed=5)
+    >>> sat = co.systems.body((1.0, 2.0, 2.5)).with_forces(flown)
+    >>> sol = co.integrate(sat, np.tile(sat.state(), (20, 1)), (0, 60), 0.125)
+    >>> offset = sol.rotation[-20:].as_rotvec().std()  # about damping / stiffness times the bias
+    >>> bool(2e-4 < offset < 4.5e-4)
+    True
     """
 
     law: Any
@@ -95,6 +128,10 @@ class Sampled(Force):
     memory: Any = field(default=None, kw_only=True)
     delay: int = field(default=0, kw_only=True)
     resolution: Any = field(default=None, kw_only=True)
+    noise: Any = field(default=None, kw_only=True)
+    bias: Any = field(default=None, kw_only=True)
+    seed: Any = field(default=None, kw_only=True)
+    stream: int = field(default=0, kw_only=True)
     first: int = field(default=0, kw_only=True)
 
     example: ClassVar = {"law": Pointing(0.1, 0.2), "period": 0.25}
@@ -103,6 +140,7 @@ class Sampled(Force):
     sampled: ClassVar[bool] = True
     command_name: ClassVar[str] = "torque"
     selectors: ClassVar[tuple[str, ...]] = ("period", "memory", "delay", "first")
+    named_values: ClassVar[tuple[str, ...]] = ("noise", "bias")
     _limit_of_command: ClassVar[str] = "max_torque"
     _limits: ClassVar[Mapping[str, Callable[..., Any]]] = {"max_torque": read_limits}
 
@@ -115,6 +153,12 @@ class Sampled(Force):
         self._read(period=read_positive, memory=_read_memory, resolution=partial(read_limits, shape=()))
         self._read(delay=partial(read_integer, minimum=0, maximum=MAX_DELAY), first=partial(read_integer, minimum=0))
         self._read(**self._limits)
+        self._read(noise=self._read_errors, bias=self._read_errors, stream=read_seed)
+        set_fields(self, random=bool(self.noise or self.bias))
+        if self.seed is not None:
+            self._read(seed=read_seed)
+        elif self.random:
+            raise TypeError(f"noise of {self.label} needs a seed, a whole number: runs of one seed have the same noise")
         if self.law.has_memory != bool(self.memory):
             given = "is given, and the law does not take it" if self.memory else "is not given, and the law takes one"
             raise TypeError(
@@ -133,6 +177,43 @@ class Sampled(Force):
         return sum(size for _, size in self._remembered)
 
     @property
+    def _measured(self) -> tuple[str, ...]:
+        """Names of what the law measures."""
+        return "attitude", "angular_velocity"
+
+    def _read_errors(self, value: Any, what: str) -> tuple[tuple[str, Any], ...]:
+        """Validate standard deviations by name, a mapping or pairs, and return pairs; None is no error."""
+        known = self._measured
+        rule = f"give standard deviations of {' and '.join(known)}: {{{known[-1]!r}: 0.001}}"
+        try:
+            pairs = {} if value is None else dict(value)
+        except (TypeError, ValueError):
+            raise TypeError(f"{what} is {short(value)}; {rule}") from None
+        if not {*pairs} <= {*known}:
+            other = next(name for name in pairs if name not in known)
+            raise ValueError(f"{what} has {short(other)}, which the law does not measure; {rule}")
+        sizes = {name: read_finite(pairs[name], f"{name} in {what}") for name in known if name in pairs}
+        found = {name: read_limits(size, f"{name} in {what}", zero=True) for name, size in sizes.items()}
+        if np.max(found.get("attitude", 0.0)) > MAX_ANGLE:
+            raise ValueError(f"attitude in {what} is {short(found['attitude'])}; it is in radians, at most {MAX_ANGLE}")
+        return tuple(found.items())
+
+    def _error(self, name: str) -> Callable[..., Any] | None:
+        """Return the error of what is measured as a function of the deviates of the law; None if there is none."""
+        if all(name not in dict(of) for of in (self.noise, self.bias)):
+            return None
+        noise, bias = (np.array(np.broadcast_to(dict(of).get(name, 0.0), 3)) for of in (self.noise, self.bias))
+        first = 3 * MEASURED.index(name)
+
+        def error(deviates: Any) -> Any:
+            found = 0.0 * deviates[:3]
+            for i in range(3):
+                found[i] = noise[i] * deviates[first + i] + bias[i] * deviates[COUNT + first + i]
+            return found
+
+        return error
+
+    @property
     def _measures(self) -> bool:
         """Whether the law is that of the change of a field that the force measures."""
         return False
@@ -148,6 +229,10 @@ class Sampled(Force):
         count = self._count(system)
         self._check_resolution(count)
         remembered = (name for name, size in self._remembered for _ in range(size))
+        if "attitude" in (errors := dict((*self.noise, *self.bias))):
+            check_attitude(system, f"noise of {self.label}")
+        if "angular_velocity" in errors:
+            _moving_inertia(system, self.label)
         return (*["held"] * (count * (1 + self.delay)), *remembered)
 
     def _check_resolution(self, count: int) -> None:
@@ -176,10 +261,13 @@ class Sampled(Force):
         return x[..., begin : begin + self._count(system)]
 
     def _law(self, system: Any) -> Callable[..., Any]:
-        """Return the torque of the law, (3,), followed by its new memory, as a function of (x, t)."""
+        """Return the torque of the law, (3,), followed by its new memory, as a function of (x, t, deviates)."""
         if self.memory:
-            return law_with_memory(self.law, system, self._first_remembered(system), self._memory_size)
-        return _law_of(self.law, system)
+            law = law_with_memory(self.law, system, self._first_remembered(system), self._memory_size)
+        else:
+            law = _law_of(self.law, system)
+        seen = _seen(self._error("attitude"), self._error("angular_velocity"), system, self.label)
+        return lambda x, t, deviates: law(seen(x, deviates), t)
 
     def _first_remembered(self, system: Any) -> int:
         """Return the index in the state of the first number that the law remembers."""
@@ -187,13 +275,13 @@ class Sampled(Force):
 
     def demand(self, system: Any, x: NDArray[Any], t: Any) -> Any:
         """Return the torque of the law, (3,), followed by its new memory."""
-        return self._law(system)(x.copy(), t)
+        return self._law(system)(x.copy(), t, np.zeros(2 * COUNT))
 
     def _command(self, system: Any) -> Callable[..., Any]:
-        """Return what is held, as a function of the torque (3,) of the law, of the state and of the time."""
+        """Return what is held, as a function of the torque (3,) of the law, the state, the time and the deviates."""
         limited = limited_by(self.max_torque)
 
-        def command(torque: Any, x: Any, t: Any) -> Any:
+        def command(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
             return limited(torque)
 
         return command
@@ -277,10 +365,14 @@ class _FirstFlow(Force):
         return self._forces[0].field(system, x, t)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        return np.asarray(_flow_of(self._forces, self._forces[0], system)(x, t, tau))
+        drawn = [np.concatenate([noise.deviates(t) for noise in noises])] if (noises := self._noises()) else []
+        return np.asarray(_flow_of(self._forces, self._forces[0], system)(x, t, tau, *drawn))
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.flow(_flow_of(self._forces, self._forces[0], system))
+        return reader.flow(_flow_of(self._forces, self._forces[0], system), self._noises())
+
+    def _noises(self) -> tuple[SampleNoise, ...]:
+        return tuple(SampleNoise(force.seed, force.stream, force.period) for force in self._forces if force.random)
 
 
 def flows_of(forces: Sequence[Force]) -> tuple[tuple[int, Force], ...]:
@@ -310,32 +402,34 @@ def _flow_of(evaluated: tuple[Sampled, ...], force: Sampled, system: Any) -> Cal
             return y
 
         return held
-    sample = _sample_of(evaluated[0], system)
-    for other in evaluated[1:]:
-        sample = _both(sample, _sample_of(other, system))
+    noisy = [other for other in evaluated if other.random]
+    samples = [_sample_of(other, system, 2 * COUNT * noisy.index(other) if other.random else 0) for other in evaluated]
+    sample = reduce(_both, samples)
 
-    def flow(x: Any, t: Any, tau: Any) -> Any:
+    def flow(x: Any, t: Any, tau: Any, deviates: Any) -> Any:
         y = x.copy()
-        sample(x, y, t, tau)
+        sample(x, y, t, tau, deviates)
         act(y, t, tau)
         return y
 
-    return flow
+    # Laws without noise take the deviates too, and do not read them.
+    return flow if noisy else lambda x, t, tau: flow(x, t, tau, x)
 
 
-def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
-    """Return the function that writes into y what a force holds after a sample of x."""
+def _sample_of(force: Sampled, system: Any, place: int) -> Callable[..., None]:
+    """Return the function that writes into y what a force holds after a sample of x; `place` is that of deviates."""
     begin, count, period = _begin(force, system), force._count(system), force.period
     law, command = force._law(system), force._command(system)
     waiting, remembered = count * force.delay, force._memory_size
     last, rounded = begin + waiting, force.resolution is not None
     unit = np.array(np.broadcast_to(force.resolution if rounded else 1.0, count), dtype=np.float64)
 
-    def sample(x: Any, y: Any, t: Any, tau: Any) -> None:
+    def sample(x: Any, y: Any, t: Any, tau: Any, deviates: Any) -> None:
         # The halves of a step begin at the multiples of tau, and whole steps at even ones.
         if np.abs(t - period * np.floor(t / period + 0.5)) < 0.25 * tau:
-            found = law(x, t)
-            values = command(found[:3], x, t)
+            own = deviates[place : place + 2 * COUNT]
+            found = law(x, t, own)
+            values = command(found[:3], x, t, own)
             # The commands that wait follow the one that acts.
             for i in range(waiting):
                 y[begin + i] = x[begin + count + i]
@@ -349,11 +443,62 @@ def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
 
 
 def _both(one: Callable[..., None], other: Callable[..., None]) -> Callable[..., None]:
-    def both(x: Any, y: Any, t: Any, tau: Any) -> None:
-        one(x, y, t, tau)
-        other(x, y, t, tau)
+    def both(x: Any, y: Any, t: Any, tau: Any, deviates: Any) -> None:
+        one(x, y, t, tau, deviates)
+        other(x, y, t, tau, deviates)
 
     return both
+
+
+def _moving_inertia(system: Any, label: str) -> NDArray[np.float64]:
+    """Return the change of the momentum by the angular velocity, with rotors at their momenta; refuse a rod."""
+    M = velocity_map(system)[0][:, :3]
+    try:
+        return inverse_of(0.5 * (M + M.T), "inertia")
+    except ValueError:
+        raise ValueError(
+            f"noise of {label} is that of an angular velocity, and {system.name} is a rod, which has none about its "
+            "axis; give noise of the attitude alone"
+        ) from None
+
+
+def _seen(turning: Any, changing: Any, system: Any, label: str) -> Callable[..., Any]:
+    """Return the state that a law sees, as a function of the state and the deviates, from the errors of both."""
+
+    def true(x: Any, deviates: Any) -> Any:
+        return x
+
+    turned = true if turning is None else _turned_by(turning)
+    accelerated = true if changing is None else _accelerated_by(changing, _moving_inertia(system, label))
+    return lambda x, deviates: accelerated(turned(x, deviates), deviates)
+
+
+def _turned_by(turning: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function that turns the attitude in a state by an error, twice the Gibbs vector of a rotation."""
+
+    def turned(x: Any, deviates: Any) -> Any:
+        y, half = x.copy(), 0.5 * turning(deviates)
+        factor = 2.0 / (1.0 + half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+        for k in range(1, 4):
+            across = cross(x[3 * k : 3 * k + 3], half)
+            further = cross(across, half)
+            for i in range(3):
+                y[3 * k + i] += factor * (across[i] + further[i])
+        return y
+
+    return turned
+
+
+def _accelerated_by(changing: Callable[..., Any], inertia: NDArray[np.float64]) -> Callable[..., Any]:
+    """Return the function that changes the momentum in a state by that of an error of the angular velocity."""
+
+    def accelerated(x: Any, deviates: Any) -> Any:
+        y, error = x.copy(), changing(deviates)
+        for i in range(3):
+            y[i] += inertia[i, 0] * error[0] + inertia[i, 1] * error[1] + inertia[i, 2] * error[2]
+        return y
+
+    return accelerated
 
 
 def _read_memory(value: Any, what: str) -> tuple[tuple[str, int], ...]:

@@ -329,6 +329,7 @@ class Torque(StateTorque):
 
     example: ClassVar = {"torque": (0.1, -0.2, 0.3)}
     uses_energy: ClassVar[bool] = False
+    named_values: ClassVar[tuple[str, ...]] = ("arguments",)
 
     def __post_init__(self) -> None:
         set_fields(self, arguments=_read_arguments(self.arguments, self.torque))

@@ -88,12 +88,12 @@ TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them are already saved, and have no memory in a resumed run. With `starts` and `lengths`
-// every member takes a single step: from that time, of that length. `events` is the address of `EventTables`, or zero. `threads` may share the
-// work of one member.
+// every member takes a single step: from that time, of that length, with the noise of the member in `numbers`. `events`
+// is the address of `EventTables`, or zero. `threads` may share the work of one member.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
-    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)                  \
-    _(integer, threads)
+    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integers, numbers)                \
+    _(integer, events) _(integer, threads)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 // The arguments of a call that takes all steps of a run, except its arrays; all but the range of members are addresses.
@@ -102,6 +102,11 @@ TABLE(Schedule, SCHEDULE_FIELDS)
     _(integer, tables) _(integer, watch) _(integer, members) _(integer, first) _(integer, last) _(integer, stride)    \
     _(integer, extent) _(integer, schedule) _(integer, stop)
 TABLE(WholeRun, WHOLE_RUN_FIELDS)
+
+// The number of a member in the run, by which noise is drawn.
+inline int64_t number_of(const Schedule& schedule, int64_t member) {
+    return schedule.numbers ? schedule.numbers[member] : member;
+}
 
 // The length of the steps of a member, and the time at which its step k begins; step k + 1 begins where step k ends.
 inline double length_of(const Schedule& schedule, int64_t member) {
@@ -145,7 +150,8 @@ TABLE(StepTables, STEP_FIELDS)
 // diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries
 // of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
 // `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
-// is a step of the classical Runge-Kutta method if that is zero.
+// is a step of the classical Runge-Kutta method if that is zero. A given flow also takes the deviates of `sets` laws that
+// measure with noise: each twice `extent`, by the seed and the stream in `direction`, and the period in `rate`.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
     _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \

@@ -21,7 +21,8 @@ class Force {
 
     Force(const ForceTable& table, const Field& field, const MemberConstants& constants)
         : table(table), field(field), constants(constants), n(field.size), workspace(field), exponential(n),
-          one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {
+          one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
+          three(n), four(n), five(n), six(n) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
@@ -42,7 +43,7 @@ class Force {
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
         }
-        return given_flow(x, t, tau);
+        return given_flow(x, t, tau, member);
     }
 
     // Whether the flow computes the change of the energy, the only invariant that it changes.
@@ -183,13 +184,25 @@ class Force {
         return defined(x);
     }
 
-    int64_t given_flow(double* x, double t, double tau) {
+    // Behind the state and the time are the deviates of each law that measures with noise.
+    int64_t given_flow(double* x, double t, double tau, int64_t member) {
         std::copy_n(x, n, one.data());
         one[n] = tau;
+        for (int64_t k = 0; k < table.sets; ++k) measure(k, t, tau, member, one.data() + n + 1 + 2 * table.extent * k);
         std::fill_n(two.data(), n, std::numeric_limits<double>::quiet_NaN());
         call_at(one.data(), t, two.data());
         std::copy_n(two.data(), n, x);
         return defined(x);
+    }
+
+    // The deviates of a sample, by its number, and those that are the same in all samples; zeros between samples.
+    void measure(int64_t k, double t, double tau, int64_t member, double* out) const {
+        const double number = std::floor(t / table.rate[k] + 0.5);
+        std::fill_n(out, 2 * table.extent, 0.0);
+        if (!(absolute(t - table.rate[k] * number) < 0.25 * tau)) return;
+        const uint64_t seed = uint64_t(table.direction[2 * k]), stream = uint64_t(table.direction[2 * k + 1] + member);
+        DeviateStream(seed, stream, number, OF_SAMPLE).draw(0, table.extent, out);
+        DeviateStream(seed, stream, 0.0, OF_RUN).draw(0, table.extent, out + table.extent);
     }
 
     int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
@@ -292,6 +305,8 @@ class Force {
         return true;
     }
 
+    // Parts of the deviates of measurements; 0 and 1 are those of the halves of a bath.
+    static constexpr uint64_t OF_SAMPLE = 2, OF_RUN = 3;
     // More than float64 has powers of two.
     static constexpr int MOST_HALVINGS = 1100;
     // Terms of exp of a matrix of norm 1/2: the next is 2^-17/17!, below 2^-65. Midpoint iterations: some ten converge.

@@ -105,7 +105,7 @@ struct Course {
         for (int64_t k = 0; k < points; ++k) marks[k] = steps + (k + 1) * every;
         std::vector<double> saved(size_t(points * size));
         const Extent extent{1, points, size, 0, 0, 0};
-        const Schedule schedule{0.0, flow.step, MOST_STEPS + 1, 1, 0, 0, points, marks.data(), nullptr, nullptr, 0, 1};
+        const Schedule schedule{0.0, flow.step, MOST_STEPS + 1, 1, 0, 0, points, marks.data(), nullptr, nullptr, nullptr, 0, 1};
         const Watch watch{};
         const int64_t outcome = flow_advance(&flow.tables.base, &watch, &only_member, 0, 1, 0, &extent, &schedule,
                                              saved.data(), state.data(), steps, end, &never);

@@ -163,7 +163,7 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
             unshared = made(tables, constants);
             scheme = unshared.get();
         }
-        scheme->member = member;
+        scheme->member = number_of(schedule, member);
         scheme->memory = arrays.memory_size ? loop.memory_of(member) : nullptr;
         // Beyond the last coordinate there are zeros, and no data of the previous member.
         std::fill_n(x, 16 * eights, 0.0);
