@@ -53,6 +53,7 @@ MEMBERS_OF = (
         "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
+    ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
         co.Solution,
@@ -85,6 +86,7 @@ ATTRIBUTES_NOT_LISTED = (
 NAMESPACES = (
     ("Ready-made systems, and what systems are made of", "systems"),
     ("Forces ([forces.md](forces.md))", "forces"),
+    ("Bodies from files ([body_files.md](body_files.md))", "bodies"),
     ("Schemes of your own ([own_schemes.md](own_schemes.md))", "methods"),
     ("Analysis", "analysis"),
     ("Correlations in space and time ([spins.md](spins.md))", "spectra"),

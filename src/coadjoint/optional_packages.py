@@ -25,6 +25,8 @@ EXTRAS = {
     "distributed": "cluster",
     "cryptography": "cluster",
     "fsspec": "remote",
+    "trimesh": "bodies",
+    "mujoco": "mujoco",
     "jax": "jax",
     "torch": "torch",
 }

@@ -91,7 +91,7 @@ PAIR = vector(((1.0, 2.0, 2.5), (1.0, 1.25, 1.5)), positive(), [FULL, (1, 1, 1)]
 )
 # Physical numbers, of the range of float64.
 SIZE = positive().plus(1e-60, 1e60, outside=(1e-310, 1e308))
-TWO_MASSES = vector((1.0, 0.5), SIZE)
+TWO_MASSES = vector((1.0, 0.5), SIZE).plus(None, without=(None,))
 
 # By the name of the parameter, where systems share it.
 SHARED = {
@@ -115,7 +115,10 @@ OWN = {
         "gradient": Domain((spring_slopes,), (cosine, spring, 1.0, True, []), "gradient|potential"),
         "hessian": Domain((None, spring_curvatures), (cosine, spring, 1.0, True, []), "hessian|potential"),
     },
-    "gravitating_bodies": {"order": one_of(2, 0, 4)},
+    "gravitating_bodies": {
+        "order": one_of(4, 0, 2),
+        "higher_moments": structured((None, np.full((2, 25), 0.5)), (np.zeros((2, 24)), 1.0, True), keep=(None,)),
+    },
     "body": {
         "attitude": flag(usual=True),
         "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1))),

@@ -42,6 +42,9 @@ LONG = co.integrate(BODY, X, (0, 20), 0.125, attitude=True)
 ENSEMBLE = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
 WAVES = co.integrate(co.systems.spin_lattice("ring", 4), np.tile([0.6, 0.0, 0.8, 0.0, 0.6, 0.8], 2), (0, 1), 0.1)
 co.integrate(BODY, X, (0, 1), 0.1, archive=ARCHIVE)
+ROBOT = pathlib.Path(FOLDER.name, "robot.urdf")
+INERTIAL = '<mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/>'
+ROBOT.write_text(f'<robot name="r"><link name="a"><inertial>{INERTIAL}</inertial></link></robot>', encoding="utf-8")
 
 OBJECTS = {
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
@@ -52,6 +55,7 @@ OBJECTS = {
     "LiePoissonSystem": BODY,
     "MatrixAlgebra": MATRICES,
     "MatrixSystem": TURNING,
+    "MassProperties": co.bodies.read(ROBOT),
     "Method": co.GaussLegendre(2),
     "ModifiedField": FIELD,
     "PhaseDrift": co.phase_drift(LONG),
@@ -111,6 +115,9 @@ OWN = {
     "co.fit": {"t_span": (0, 2), "sigma": {"x": 1.0}},
     "co.thermal_states": {"system": co.systems.spin_lattice(), "members": 2, "sweeps": 2},
     "co.spectra.structure_factor": {"solution": WAVES},
+    "co.bodies.MassProperties": {"mass": 1.0, "inertia": (1.0, 2.0, 2.5)},
+    "co.bodies.read": {"path": ROBOT},
+    "MassProperties.about": {"point": X},
     "co.certify": {"steps": 4},
     "co.export_c": {"prepared": READY, "path": ARCHIVE.with_name("run.h")},
     "co.export_table": {"prepared": READY, "path": ARCHIVE.with_name("run.json")},

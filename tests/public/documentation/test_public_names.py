@@ -121,7 +121,20 @@ def test_help_of_the_package_is_two_screens():
 
 
 @pytest.mark.parametrize(
-    "space", ["algebras", "analysis", "forces", "jax", "methods", "plotting", "results", "spectra", "systems", "torch"]
+    "space",
+    [
+        "algebras",
+        "analysis",
+        "bodies",
+        "forces",
+        "jax",
+        "methods",
+        "plotting",
+        "results",
+        "spectra",
+        "systems",
+        "torch",
+    ],
 )
 def test_namespaces_are_lazy_and_name_what_is_near(space):
     module = getattr(co, space)

@@ -29,6 +29,7 @@ JSON_TYPES: dict[str, Schema] = {
     "str": {"type": "string"},
     "Method": {"$ref": "#/$defs/MethodTable"},
     "npt.ArrayLike": {"$ref": "#/$defs/Numbers"},
+    "InertiaLike": {"$ref": "#/$defs/Numbers"},
     "tuple[float, ...]": {"type": "array", "items": {"type": "number"}},
 }
 

@@ -28,7 +28,7 @@ from coadjoint.systems.bodies.body_systems import (
     read_states,
     read_vectors,
 )
-from coadjoint.systems.bodies.inertia import BodyInertia, inverse_of_moving, read_in_range, read_inertias
+from coadjoint.systems.bodies.inertia import BodyInertia, inverse_of_moving, read_bodies
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -37,7 +37,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import as_tuples, read_finite, set_fields
+from coadjoint.validation import as_tuples, set_fields
 
 Floats = npt.NDArray[np.float64]
 Made = TypeVar("Made", bound="BodiesSystem")
@@ -186,7 +186,7 @@ def _tumbling() -> Floats:
 )
 def bodies(
     inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),
-    masses: npt.ArrayLike = (1.0, 1.0),
+    masses: npt.ArrayLike | None = None,
     potential: Callable[..., Any] | None = None,
     gradient: Callable[..., Any] | None = None,
     hessian: Callable[..., Any] | None = None,
@@ -200,11 +200,11 @@ def bodies(
 
     Parameters
     ----------
-    inertias : sequence of k (3,) or (3, 3)
-        Principal moments or inertia tensor of each body, in its own frame (mass times length squared). The moment along
-        a rod is zero, and so are those of a point.
-    masses : (k,)
-        Masses, positive.
+    inertias : sequence of k (3,), (3, 3) or co.bodies.MassProperties
+        Principal moments or inertia tensor of each body, in its own frame (mass times length squared), or a body from a
+        file (`co.bodies.read`). The moment along a rod is zero, and so are those of a point.
+    masses : (k,), optional
+        Masses, positive. By default those of bodies from files, and otherwise 1 for each of two.
     potential : callable, optional
         Pure function of ``(r, A)`` that returns the energy: positions (k, 3) in space, and attitudes (k, 3, 3) from
         each body to space, so that ``r[i] + A[i] @ b`` is the point b of body i. Numba compiles it. By default the
@@ -252,7 +252,7 @@ def bodies(
     >>> sol.positions.shape, bool(sol.drift()["energy"] < 1e-8)
     ((101, 2, 3), True)
     """
-    found, m = read_inertias(inertias), read_masses(masses, inertias)
+    found, m = read_bodies(inertias, masses, (1.0, 1.0))
     check_potential(potential, gradient, hessian)
     V = None if potential is None else attitude_potential(potential, gradient, hessian, len(found))
     if V is not None:
@@ -331,16 +331,6 @@ def _kinetic_energy(inertias: tuple[BodyInertia, ...], masses: Floats, dim: int)
     begin = PER_BODY * len(inertias)
     entries += [(begin + i, begin + i, 1.0 / m) for i, m in enumerate(np.repeat(masses, 3).tolist())]
     return quadratic_form(dim, entries, np.zeros(dim))
-
-
-def read_masses(masses: Any, inertias: Any) -> Floats:
-    """Validate one positive mass for each body."""
-    m = read_finite(masses, "masses")
-    if m.shape != (len(inertias),):
-        raise ValueError(f"masses has shape {m.shape}, and inertias {len(inertias)} bodies; give one mass for each")
-    for k, value in enumerate(m.tolist()):
-        read_in_range(value, f"masses[{k}]")
-    return m
 
 
 def inertial_parameters(inertias: tuple[BodyInertia, ...], masses: Floats) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def kirchhoff_body(
     >>> kirchhoff_body(inertia=(1, 1, 2), mass=(2, 2, 1)).integrals
     {'m3': m3}
     """
-    moments, masses = read_inertia(inertia), read_inertia(mass, "mass")
+    moments, masses = read_inertia(inertia, centred=False), read_inertia(mass, "mass")
     B = read_finite(coupling, "coupling")
     if B.shape != (3, 3):
         raise ValueError(f"coupling has shape {B.shape}; give a finite (3, 3)")

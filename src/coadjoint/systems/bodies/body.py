@@ -23,6 +23,7 @@ from coadjoint.systems.bodies.inertia import (
     read_body_inertia,
     read_rotors,
 )
+from coadjoint.systems.bodies.mass_properties import InertiaLike
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_motion
@@ -207,7 +208,7 @@ IN_SPACE = {
     ),
 )
 def body(
-    inertia: npt.ArrayLike = (1.0, 2.0, 2.5),
+    inertia: InertiaLike = (1.0, 2.0, 2.5),
     attitude: bool = True,
     wheels: npt.ArrayLike = (),
     gyros: npt.ArrayLike = (),
@@ -228,7 +229,7 @@ def body(
 
     Parameters
     ----------
-    inertia : (3,) or (3, 3)
+    inertia : (3,), (3, 3) or co.bodies.MassProperties
         Principal moments of inertia, or the inertia tensor in the body frame (mass times length squared), of the body
         with its wheels and gyros, locked. The moment along a rod is zero, and the other two are equal.
     attitude : bool

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import combinations_with_replacement, permutations
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from coadjoint.systems.bodies.bodies import (
     inertial_parameters,
     kinetic_matrix,
     potential_coordinates,
-    read_masses,
     system_of_bodies,
 )
 from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
@@ -26,13 +26,13 @@ from coadjoint.systems.bodies.body_pictures import (
     relative_positions,
     turning_bodies,
 )
-from coadjoint.systems.bodies.inertia import anisotropic_part, check_products, read_in_range, read_inertias
+from coadjoint.systems.bodies.inertia import BodyInertia, anisotropic_part, check_products, read_bodies, read_in_range
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
-from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity
+from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity, traceless_multipoles
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import is_integer
+from coadjoint.validation import as_tuples, is_integer, read_finite
 
 Floats = npt.NDArray[np.float64]
 
@@ -98,17 +98,62 @@ def _relative(component: int) -> Any:
 
 
 def _energy(
-    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int
+    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int, higher_moments: Any
 ) -> tuple[npt.NDArray[Any]]:
     return kinetic_matrix(inertias, masses)
 
 
 def _potential(
-    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int
+    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int, higher_moments: Any
 ) -> FunctionOfConstants:
     tensors = [np.diag(one) if one.ndim == 1 else 0.5 * (one + one.T) for one in inertias]
     anisotropic = np.stack([anisotropic_part(one) * (order > 0) for one in tensors])
-    return mutual_gravity(potential_coordinates(len(masses)), masses, anisotropic, G, order)
+    multipoles = None if higher_moments is None else _multipoles(np.asarray(higher_moments))
+    return mutual_gravity(potential_coordinates(len(masses)), masses, anisotropic, G, order, multipoles)
+
+
+THIRD, FOURTH = (list(combinations_with_replacement(range(3), order)) for order in (3, 4))
+"""Indices of the third and fourth moments of a body, in the order of its row."""
+
+
+def _multipoles(rows: Floats) -> tuple[Floats, Floats]:
+    """Return the multipoles of third and fourth order of each body, (k, 27) and (k, 81), from its moments."""
+    found = []
+    for row in rows:
+        third, fourth = np.empty((3,) * 3), np.empty((3,) * 4)
+        for tensor, indices, values in ((third, THIRD, row[: len(THIRD)]), (fourth, FOURTH, row[len(THIRD) :])):
+            for index, value in zip(indices, values, strict=True):
+                for one in permutations(index):
+                    tensor[one] = value
+        found.append(traceless_multipoles(third, fourth))
+    return np.array([one.ravel() for one, _ in found]), np.array([one.ravel() for _, one in found])
+
+
+def _read_higher_moments(given: Any, order: int, bodies: tuple[BodyInertia, ...], masses: Floats) -> Floats | None:
+    """Return the third and fourth moments of each body, (k, 25), or None if all are ellipsoids or order is less."""
+    if given is not None:
+        rows = read_finite(given, "higher_moments")
+        if order != 4:
+            raise ValueError(f"higher_moments was given with order={order}; they have an effect to order 4")
+        if rows.shape != (len(bodies), len(THIRD) + len(FOURTH)):
+            raise ValueError(
+                f"higher_moments has shape {rows.shape}; give ({len(bodies)}, {len(THIRD) + len(FOURTH)}), of each "
+                "body the 10 third and the 15 fourth moments"
+            )
+        return rows
+    if order != 4 or all(one.source is None or one.source.third_moments is None for one in bodies):
+        return None
+    return np.array([_moments_of(body, mass) for body, mass in zip(bodies, masses.tolist(), strict=True)])
+
+
+def _moments_of(body: BodyInertia, mass: float) -> list[float]:
+    """Return the third and fourth moments of a body; those of a homogeneous ellipsoid if they are not known."""
+    source = body.source
+    if source is not None and source.third_moments is not None and source.fourth_moments is not None:
+        return [float(source.third_moments[i]) for i in THIRD] + [float(source.fourth_moments[i]) for i in FOURTH]
+    S = 0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor
+    fourth = [S[a, b] * S[c, d] + S[a, c] * S[b, d] + S[a, d] * S[b, c] for a, b, c, d in FOURTH]
+    return [0.0] * len(THIRD) + [5.0 / (7.0 * mass) * float(value) for value in fourth]
 
 
 @ready_made(
@@ -141,9 +186,10 @@ def _potential(
 )
 def gravitating_bodies(
     inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),
-    masses: npt.ArrayLike = (3.0, 1.0),
+    masses: npt.ArrayLike | None = None,
     G: float = 1.0,
     order: int = 2,
+    higher_moments: npt.ArrayLike | None = None,
 ) -> BodiesSystem:
     """Return rigid bodies under their mutual gravity: the full problem of two or more bodies, orbits and rotations.
 
@@ -151,21 +197,26 @@ def gravitating_bodies(
     rotation. For a satellite about a point alone, all in the body frame, see `satellite`. As `bodies`, with ``V = -G
     sum over pairs of m_i m_j/s + (m_j (tr I_i - 3 u . I_i u) + m_i (tr I_j - 3 u . I_j u))/(2 s^3)``, s the distance
     of the centres and u its direction: MacCullagh's expansion to the second moments of both bodies. It is computed from
-    the anisotropic parts of the inertias alone, so that torques do not lose digits. To order 4 the bodies are
-    homogeneous ellipsoids of these inertias: terms of both second moments together, and of fourth moments, are added.
-    Terms that are left out are about (size/s)^4 of the leading one to order 2, and (size/s)^6 to order 4.
+    the anisotropic parts of the inertias alone, so that torques do not lose digits. To order 4 the terms of both second
+    moments together, and of third and fourth moments, are added: those of bodies from meshes, and of homogeneous
+    ellipsoids of these inertias for others. Terms that are left out are about (size/s)^4 of the leading one to order 2,
+    and (size/s)^6 to order 4, for bodies that are symmetric about their centres, and a power less for others.
 
     Parameters
     ----------
-    inertias : sequence of k (3,) or (3, 3)
-        Principal moments or inertia tensor of each body, in its own frame (mass times length squared). The moment along
-        a rod is zero, and so are those of a point.
-    masses : (k,)
-        Masses, positive.
+    inertias : sequence of k (3,), (3, 3) or co.bodies.MassProperties
+        Principal moments or inertia tensor of each body, in its own frame (mass times length squared), or a body from a
+        file (`co.bodies.read`). The moment along a rod is zero, and so are those of a point.
+    masses : (k,), optional
+        Masses, positive. By default those of bodies from files, and otherwise 3 and 1.
     G : float
         Gravitational constant, positive; 6.6743e-11 in SI units.
     order : {2, 4, 0}
         Order of the expansion in the sizes of the bodies; to order 0 they attract each other as points.
+    higher_moments : (k, 25), optional
+        Third and fourth moments of each body about its centre of mass, for `order` 4: integrals over the mass of the
+        products xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz, zzz, then xxxx, xxxy, ..., zzzz of the coordinates in its
+        frame (mass times length cubed, and to the fourth). By default those of bodies from meshes, and of ellipsoids.
 
     Returns
     -------
@@ -176,7 +227,8 @@ def gravitating_bodies(
     Raises
     ------
     TypeError, ValueError
-        Arguments of wrong shapes, moments or masses that no body has, `G` that is not positive, or another order.
+        Arguments of wrong shapes, moments or masses that no body has, `G` that is not positive, another order, or
+        `higher_moments` without order 4.
 
     Warns
     -----
@@ -198,12 +250,15 @@ def gravitating_bodies(
     >>> bool(sol.drift()["energy"] < 1e-6), sol.rotation.as_matrix().shape
     (True, (402, 3, 3))
     """
-    found, m = read_inertias(inertias), read_masses(masses, inertias)
+    found, m = read_bodies(inertias, masses, (3.0, 1.0))
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
     check_products("G and masses", lambda: gravity * m[:, None] * m)
+    higher = _read_higher_moments(higher_moments, int(order), found, m)
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
-    V = _potential(np.array([one.tensor for one in found]), m, np.array(gravity), order=int(order)).hamiltonian()
+    parameters["higher_moments"] = None if higher is None else as_tuples(higher)
+    tensors = np.array([one.tensor for one in found])
+    V = _potential(tensors, m, np.array(gravity), order=int(order), higher_moments=higher).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)
     return system_of_bodies("gravitating_bodies", found, m, V, parameters, integrals)

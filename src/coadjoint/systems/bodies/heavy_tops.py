@@ -135,7 +135,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
     {'m1': m1}
     """
-    moments, w = read_inertia(inertia), read_vector(lever, "lever")
+    moments, w = read_inertia(inertia, centred=False), read_vector(lever, "lever")
     energy = _energy(moments, w)
     warn_unphysical_inertia(moments, "e(3)")
     return top_under_gravity(energy, "heavy_top", {"inertia": as_tuples(moments), "lever": tuple(w.tolist())})

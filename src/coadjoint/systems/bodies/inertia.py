@@ -13,6 +13,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.systems.bodies.mass_properties import MassProperties
 from coadjoint.validation import (
     as_tuples,
     check_finite,
@@ -27,13 +28,23 @@ from coadjoint.validation import (
 MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflows
 
 
-def read_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> npt.NDArray[np.float64]:
+def read_inertia(inertia: Any, what: str = "inertia", centred: bool = True) -> npt.NDArray[np.float64]:
     """Return positive principal moments, (3,), or a tensor, (3, 3), which `inverse_of` finds positive definite."""
+    # Without `centred` it is about another point than the centre of mass, or not of the body alone.
+    if not centred and isinstance(inertia, MassProperties):
+        raise TypeError(
+            f"{what} is that about the centre of mass of {inertia.frame or 'a body'}; give the tensor that the system "
+            "takes: about a fixed point it is the body's about(point), and a fluid adds to it"
+        )
     array = _read_moments_or_tensor(inertia, what)
     return positive_moments(array, what) if array.ndim == 1 else array
 
 
 def _read_moments_or_tensor(inertia: Any, what: str) -> npt.NDArray[np.float64]:
+    """Validate moments, a tensor, or the mass properties of a body, of which it is the tensor in their frame."""
+    if isinstance(inertia, MassProperties):
+        diagonal = principal(inertia.inertia)
+        inertia = inertia.inertia if diagonal is None else diagonal
     array = read_numbers(inertia, what)
     if array.shape not in ((3,), (3, 3)):
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
@@ -204,6 +215,8 @@ class BodyInertia(NamedTuple):
     tensor: Floats
     inverse: Floats
     rotating: Floats | None = None
+    source: MassProperties | None = None
+    """The body from a file, which has a mass, and may have higher moments."""
 
     @property
     def inverse_matrix(self) -> Floats:
@@ -227,13 +240,45 @@ def anisotropic_part(tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
     """Validate principal moments or a tensor; the moment along a rod, and all those of a point, may be zero."""
-    array = _read_moments_or_tensor(inertia, what)
+    array, source = _read_moments_or_tensor(inertia, what), inertia if isinstance(inertia, MassProperties) else None
     if not array.any():
-        return BodyInertia(as_tuples(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+        return BodyInertia(as_tuples(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), source)
     inverse, rotating = (_inverse_moments if array.ndim == 1 else _inverse_tensor)(array, what)
     warn_unphysical_inertia(array, None, what)
     tensor = np.diag(array) if array.ndim == 1 else np.triu(array) + np.triu(array, 1).T
-    return BodyInertia(as_tuples(array), tensor, inverse, rotating)
+    return BodyInertia(as_tuples(array), tensor, inverse, rotating, source)
+
+
+def read_bodies(inertias: Any, masses: Any, usual: tuple[float, ...]) -> tuple[tuple[BodyInertia, ...], Floats]:
+    """Validate the inertia and the mass of each of several bodies; bodies from files have theirs."""
+    found = read_inertias(inertias)
+    if masses is None:
+        own = [None if one.source is None else one.source.mass for one in found]
+        missing = [k for k, mass in enumerate(own) if mass is None]
+        if missing and len(missing) < len(own):
+            raise ValueError(f"masses is missing, and inertias[{missing[0]}] has no mass of its own; give all masses")
+        return found, read_masses(usual if missing else own, found)
+    given = read_masses(masses, found)
+    for k, one in enumerate(found):
+        check_own_mass(one, float(given[k]), f"masses[{k}]", f"inertias[{k}]")
+    return found, given
+
+
+def check_own_mass(inertia: BodyInertia, mass: float, what: str, whose: str = "inertia") -> None:
+    """Raise ValueError if a body from a file has another mass than is given."""
+    own = None if inertia.source is None else inertia.source.mass
+    if own is not None and abs(mass - own) > ROUNDING_TOLERANCE * own:
+        raise ValueError(f"{what} is {mass:g}, and {whose} has the mass {own:g}; give this one")
+
+
+def read_masses(masses: Any, inertias: Any) -> Floats:
+    """Validate one positive mass for each body."""
+    m = read_finite(masses, "masses")
+    if m.shape != (len(inertias),):
+        raise ValueError(f"masses has shape {m.shape}, and inertias {len(inertias)} bodies; give one mass for each")
+    for k, value in enumerate(m.tolist()):
+        read_in_range(value, f"masses[{k}]")
+    return m
 
 
 def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:

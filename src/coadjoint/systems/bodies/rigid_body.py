@@ -21,6 +21,7 @@ from coadjoint.systems.bodies.inertia import (
     read_vector,
     warn_unphysical_inertia,
 )
+from coadjoint.systems.bodies.mass_properties import InertiaLike
 from coadjoint.systems.closed_forms.closed_form import move_state_and_element
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, fixed_axis
 from coadjoint.systems.energy_derivatives import gradients_at
@@ -147,7 +148,7 @@ Kind = TypeVar("Kind", bound=LiePoissonSystem)
         quantity="angular momentum",
     ),
 )
-def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
+def rigid_body(inertia: InertiaLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
 
     The standard body equations: x is the angular momentum in the body frame, ``Omega = I^-1 x`` the angular velocity,
@@ -157,7 +158,7 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
 
     Parameters
     ----------
-    inertia : (3,) or (3, 3)
+    inertia : (3,), (3, 3) or co.bodies.MassProperties
         Principal moments of inertia, or the symmetric positive definite inertia tensor (mass times length squared).
 
     Returns
@@ -223,7 +224,7 @@ def _energy_with_rotors(
         quantity="angular momentum",
     ),
 )
-def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> ClassicalBody:
+def gyrostat(inertia: InertiaLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> ClassicalBody:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
 
     x is the angular momentum of body and rotors together, in the body frame. That of the rotors relative to the
@@ -233,7 +234,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
 
     Parameters
     ----------
-    inertia : (3,) or (3, 3)
+    inertia : (3,), (3, 3) or co.bodies.MassProperties
         Principal moments, or the symmetric positive definite tensor (mass times length squared): with the rotors locked
         if motors keep their speed relative to the body; without the moments of the rotors about their own axes if they
         spin freely and so keep their own momentum.

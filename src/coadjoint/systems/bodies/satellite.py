@@ -16,7 +16,8 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.body import IN_SPACE
-from coadjoint.systems.bodies.inertia import check_products, principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.inertia import check_own_mass, check_products, principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.mass_properties import InertiaLike
 from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -68,7 +69,7 @@ def _pitch(x: Any) -> Any:
         quantity="state",
     ),
 )
-def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> ClassicalBody:
+def satellite(inertia: InertiaLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> ClassicalBody:
     """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient that couples them.
 
     All vectors are in the body frame, which rotates by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
@@ -78,7 +79,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
 
     Parameters
     ----------
-    inertia : (3,) or (3, 3)
+    inertia : (3,), (3, 3) or co.bodies.MassProperties
         Principal moments of inertia, or the inertia tensor in the body frame (mass length^2), positive.
     mass : float
         Mass of the satellite, positive.
@@ -123,6 +124,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     if found.rotating is not None:
         raise ValueError("inertia is that of a rod; give a body with three positive principal moments")
     mass, gravity = read_in_range(mass, "mass"), read_in_range(gravity, "gravity")
+    check_own_mass(found, mass, "mass")
     check_products("mass, inertia and gravity", lambda: gravity * np.array([mass, *np.diag(found.tensor)]))
     moments, along = principal(found.tensor), principal(found.inverse)
     free_flight = ((3, 4, 5), Quadratic(1 / mass))

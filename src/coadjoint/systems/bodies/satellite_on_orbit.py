@@ -21,6 +21,7 @@ from coadjoint.systems.bodies.inertia import (
     read_body_inertia,
     read_in_range,
 )
+from coadjoint.systems.bodies.mass_properties import InertiaLike
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -156,7 +157,7 @@ def _energy(inertia: npt.NDArray[Any], mean_motion: Any, *, eccentricity: float)
     ),
 )
 def satellite_on_orbit(
-    inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mean_motion: float = 1.0, eccentricity: float = 0.0
+    inertia: InertiaLike = (1.0, 2.0, 2.5), mean_motion: float = 1.0, eccentricity: float = 0.0
 ) -> OrbitingSatellite:
     """Return the attitude of a rigid satellite on a prescribed circular or elliptic orbit.
 
@@ -176,7 +177,7 @@ def satellite_on_orbit(
 
     Parameters
     ----------
-    inertia : (3,) or (3, 3)
+    inertia : (3,), (3, 3) or co.bodies.MassProperties
         Principal moments of inertia, or the inertia tensor in the body frame (mass times length squared).
     mean_motion : float
         Mean angular velocity of the orbit, positive: ``sqrt(mu/a^3)``, in radians per time, with the semi-major axis a.

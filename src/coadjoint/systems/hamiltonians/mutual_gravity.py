@@ -16,21 +16,23 @@ Numbers = npt.NDArray[Any]
 
 
 def mutual_gravity(
-    coordinates: Any, masses: Numbers, anisotropic: Numbers, gravity: Any, order: int
+    coordinates: Any, masses: Numbers, anisotropic: Numbers, gravity: Any, order: int, multipoles: Any = None
 ) -> FunctionOfConstants:
     """Return ``V = -G sum of (m_i m_j/s - 3 (m_j w_i.D_i w_i + m_i w_j.D_j w_j)/(2 s^5))`` over pairs of bodies."""
     # s is the distance of the centres and w_i their difference in the frame of body i; D = I - tr(I)/3, (k, 3, 3), is
     # the anisotropic part of the inertia. ``tr(I) - 3 u.Iu = -3 u.Du`` for a unit vector u: this is MacCullagh's
     # formula without the difference of large terms. Coordinates: attitudes, (k, 3, 3), then positions, (k, 3).
-    # Constants: G, masses, D, and the sums of the squares of the entries of each D.
+    # Constants: G, masses, D, the sums of the squares of the entries of each D, and the multipoles of third and fourth
+    # order, (k, 27) and (k, 81), if the bodies are no ellipsoids.
     count, squares = len(masses), np.array([(one * one).sum() for one in anisotropic])
-    constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
-    value, gradient, hessian = _functions(count, order)
+    higher = () if multipoles is None else multipoles
+    constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares, *map(np.ravel, higher)])
+    value, gradient, hessian = _functions(count, order, multipoles is not None)
     return FunctionOfConstants(coordinates, constants, value, gradient, hessian, number_of_shares(count))
 
 
 @lru_cache(maxsize=64)
-def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
+def _functions(count: int, order: int, multipoles: bool) -> tuple[Callable[..., Any], ...]:
     """Return V and its first and second derivatives as functions of y and of the constants; compiled code is reused."""
     axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
     bodies_of = bodies_of_shares(count)
@@ -161,8 +163,19 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
     functions = value, gradient, hessian
     if order < 4:
         return functions
-    v, g, h = functions
-    more_v, more_g, more_h = fourth_order_terms(count)
+    added = fourth_order_terms(count, not multipoles)
+    if multipoles:
+        added = _sum_of(added, multipole_terms(count))
+    return _sum_of(functions, added)
+
+
+Functions = tuple[Callable[..., Any], ...]
+
+
+def _sum_of(first: Functions, second: Functions) -> Functions:
+    """Return the sum of two functions with their derivatives."""
+    v, g, h = first
+    more_v, more_g, more_h = second
     return (
         lambda y, constants, share=ALL_SHARES: v(y, constants, share) + more_v(y, constants, share),
         lambda y, constants, share=ALL_SHARES: g(y, constants, share) + more_g(y, constants, share),
@@ -173,8 +186,25 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
 STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its square vanishes beside one
 
 
-def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
+def _by_complex_steps(gradient: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the second derivatives of a function from its gradient, which is analytic."""
+
+    def hessian(y: Any, constants: Any) -> Any:
+        result = np.outer(0.0 * y, y)
+        for k in range(len(y)):
+            moved = y + 0.0j
+            moved[k] += 1j * STEP
+            change = gradient(moved, constants)
+            for n in range(len(y)):
+                result[n, k] = change[n].imag / STEP
+        return result
+
+    return hessian
+
+
+def fourth_order_terms(count: int, ellipsoids: bool = True) -> tuple[Callable[..., Any], ...]:
     """Return the terms of fourth order in the sizes, and their derivatives, with the constants of `mutual_gravity`."""
+    # Without `ellipsoids` those of the second moments of both bodies alone; floats in closures would be constants.
     # With D the anisotropic part of the inertia, w = A^T R, e = D w, g = A e for the difference R of two centres, they
     # are ``-G sum of (15/7 (m_2/m_1 E(1, 1) + m_1/m_2 E(2, 2)) + 6 E(1, 2))/24``. The fourth derivatives of 1/s give
     # ``E(1, 2) = 105 w_1.e_1 w_2.e_2/s^9 - 60 g_1.g_2/s^7 + 6 tr(A_1 D_1 A_1^T A_2 D_2 A_2^T)/s^5``. The fourth moments
@@ -230,7 +260,9 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                 E1 = 105.0 * first * first / square**2 - 60.0 * own / square + 6.0 * squares[i]
                 E2 = 105.0 * second * second / square**2 - 60.0 * other / square + 6.0 * squares[j]
                 E12 = 105.0 * first * second / square**2 - 60.0 * mixed / square + 6.0 * trace
-                weighted = 15.0 / 7.0 * (m[j] / m[i] * E1 + m[i] / m[j] * E2) + 6.0 * E12
+                weighted = 6.0 * E12
+                if ellipsoids:
+                    weighted = 15.0 / 7.0 * (m[j] / m[i] * E1 + m[i] / m[j] * E2) + 6.0 * E12
                 total -= G * weighted * fifth / 24.0
         return total
 
@@ -256,6 +288,8 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                 for n in range(2):
                     one, other = (i, j) if n == 0 else (j, i)
                     k = -G / 24.0 * 15.0 / 7.0 * m[other] / m[one] * fifth
+                    if not ellipsoids:
+                        k = 0.0 * k
                     along -= k * (945.0 * q[n] * q[n] / square**2 - 420.0 * own[n] / square + 30.0 * squares[one])
                     by_q, by_own = k * 210.0 * q[n] / square**2, -60.0 * k / square
                     cross = -G / 4.0 * fifth
@@ -284,14 +318,77 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                     result[axes + 3 * j + a] -= along * R[a] / square
         return result
 
-    def hessian(y: Any, constants: Any) -> Any:
-        result = np.outer(0.0 * y, y)
-        for k in range(len(y)):
-            moved = y + 0.0j
-            moved[k] += 1j * STEP
-            change = gradient(moved, constants)
-            for n in range(len(y)):
-                result[n, k] = change[n].imag / STEP
+    return value, gradient, _by_complex_steps(gradient)
+
+
+def multipole_terms(count: int) -> tuple[Callable[..., Any], ...]:
+    """Return the terms of the third and fourth multipoles of each body and the mass of the others, with derivatives."""
+    # ``-G m (P3 w^3/(6 s^7) + P4 w^4/(24 s^9))`` for a mass m at w in the frame of the body, by `traceless_multipoles`.
+    axes, third_at, fourth_at = 9 * count, 1 + 11 * count, 1 + 38 * count
+    bodies_of = bodies_of_shares(count)
+
+    def parts(y: Any, constants: Any, one: int, other: int) -> Any:
+        """Return the difference of the centres, s^2, and of both forms the value and the derivatives by w."""
+        d, w, cubic, quartic = 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3]
+        square, third, fourth = 0.0 * y[0], 0.0 * y[0], 0.0 * y[0]
+        for a in range(3):
+            d[a] = y[axes + 3 * other + a] - y[axes + 3 * one + a]
+            square += d[a] * d[a]
+        for a in range(3):
+            for b in range(3):
+                w[b] += y[9 * one + 3 * a + b] * d[a]
+        for a in range(3):
+            for b in range(3):
+                for c in range(3):
+                    product = w[b] * w[c]
+                    cubic[a] += constants[third_at + 27 * one + 9 * a + 3 * b + c] * product
+                    for e in range(3):
+                        quartic[a] += constants[fourth_at + 81 * one + 27 * a + 9 * b + 3 * c + e] * product * w[e]
+            third += cubic[a] * w[a]
+            fourth += quartic[a] * w[a]
+        return d, square, third, fourth, cubic, quartic
+
+    def value(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
+        total = 0.0 * y[0]
+        for i in range(begin, count, step):
+            for j in range(i):
+                for one, other in ((i, j), (j, i)):
+                    _, square, third, fourth, _, _ = parts(y, constants, one, other)
+                    seventh = 1.0 / (square**3 * np.sqrt(square))
+                    total -= constants[0] * constants[1 + other] * (third / 6.0 + fourth / (24.0 * square)) * seventh
+        return total
+
+    def gradient(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
+        result = 0.0 * y
+        for i in range(begin, count, step):
+            for j in range(i):
+                for one, other in ((i, j), (j, i)):
+                    d, square, third, fourth, cubic, quartic = parts(y, constants, one, other)
+                    factor = -constants[0] * constants[1 + other] / (square**3 * np.sqrt(square))
+                    along = -factor * (7.0 * third / 6.0 + 9.0 * fourth / (24.0 * square)) / square
+                    for a in range(3):
+                        push = along * d[a]
+                        for b in range(3):
+                            slope = factor * (0.5 * cubic[b] + quartic[b] / (6.0 * square))
+                            push += y[9 * one + 3 * a + b] * slope
+                            result[9 * one + 3 * a + b] += d[a] * slope
+                        result[axes + 3 * other + a] += push
+                        result[axes + 3 * one + a] -= push
         return result
 
-    return value, gradient, hessian
+    return value, gradient, _by_complex_steps(gradient)
+
+
+def traceless_multipoles(third: Numbers, fourth: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the tensors of the third and fourth multipoles, ``P_l w^l = l! integral s^l |y|^l P_l(cos) dm``."""
+    # P3 = 15 (M3 - 3/5 sym(1 M1)) with the trace M1 of M3, and P4 = 105 (M4 - 6/7 sym(1 M2) + 3/35 sym(1 1) M0).
+    one = np.eye(3)
+    first, second = np.einsum("abb->a", third), np.einsum("abcc->ab", fourth)
+    of_third = sum(np.einsum(f"ab,c->{order}", one, first) for order in ("abc", "acb", "cba"))
+    pairs = ("abcd", "acbd", "adbc", "bcad", "bdac", "cdab")
+    letters = [(f"{p[:2]},{p[2:]}->abcd") for p in pairs]
+    of_fourth = sum(np.einsum(rule, one, second) for rule in letters)
+    of_both = sum(np.einsum(rule, one, one) for rule in letters[:3]) * np.trace(second)
+    return 15.0 * third - 3.0 * of_third, 105.0 * fourth - 15.0 * of_fourth + 3.0 * of_both

@@ -1,0 +1,1 @@
+"""Mass properties from files: URDF, SDF, MJCF and meshes."""
