@@ -80,7 +80,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     known: dict[Hashable, int] = {}
     members: dict[Hashable, tuple[list[int], list[Any]]] = {}
     for m, system in enumerate(systems):
-        if system._kind is not LiePoissonSystem or system.dim > MAX_DIMENSION:
+        if not isinstance(system, LiePoissonSystem) or system.dim > MAX_DIMENSION:
             continue
         keys, coefficients, constant = list[Hashable](), list[Any](), 0.0
         for term in built_in(system.hamiltonian.terms()):
@@ -90,7 +90,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
             constant += float(term.constant)
         coefficients.append((constant,))
         try:
-            key: Any = (*_algebra(system, known), type(system.hamiltonian), *keys)
+            key: Any = (system._kind, *_algebra(system, known), type(system.hamiltonian), *keys)
             chosen, columns = members.setdefault(key, ([], [[] for _ in coefficients]))
         except TypeError:  # functions that have no hash
             continue
