@@ -109,7 +109,10 @@ def main() -> None:
         states = np.tile(state, (given.members, 1))
         try:
             pairs = [  # of systems made for each round, of which nothing is known from those before
-                (seconds([make(float(factor)) for factor in factors], states, span, h), seconds(make(1.0), states, span, h))
+                (
+                    seconds([make(float(factor)) for factor in factors], states, span, h),
+                    seconds(make(1.0), states, span, h),
+                )
                 for _ in range(given.rounds)
             ]
         except (co.IntegrationError, ValueError, TypeError) as reason:

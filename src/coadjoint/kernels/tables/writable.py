@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import as_c_double
-from coadjoint.kernels.tables.compiled import PER_MEMBER_TYPES, SCALARS, NotWritable, TableField, as_structure, table_fields
+from coadjoint.kernels.tables.compiled import (
+    PER_MEMBER_TYPES,
+    SCALARS,
+    NotWritable,
+    TableField,
+    as_structure,
+    table_fields,
+)
 from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
