@@ -103,7 +103,7 @@ def main() -> None:
         one = make(1.0)
         state = np.linspace(0.2, 0.9, one.dim)
         if one.name in ("bodies", "gravitating_bodies", "decorated_particles"):  # of systems with positions
-            state[-1] = 1.0
+            state[4 if one.name == "decorated_particles" else -1] = 1.0
         with suppress(AttributeError, TypeError, ValueError):
             state = np.ravel(one.state(angular_velocity=(0.1, 0.2, 0.3)))
         states = np.tile(state, (given.members, 1))

@@ -319,12 +319,11 @@ def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:
     return [_with_numbers(stack.take(np.array(columns)), [tables[c] for c in columns]) for columns in groups.values()]
 
 
-def _structure_of_force(table: ForceTable) -> Hashable:
+def _structure_of_force(table: Any) -> Hashable:
     """Return what members that share the structure of a table have in common."""
-    return tuple(
-        np.size(value) if name in NUMBERS else value.tobytes() if isinstance(value, np.ndarray) else value
-        for name, value in zip(table._fields, table, strict=True)
-    )
+    common = [getattr(table, name) for name in table._fields if name not in NUMBERS]
+    sizes = [np.size(getattr(table, name)) for name in NUMBERS]
+    return *sizes, *(one.tobytes() if isinstance(one, np.ndarray) else one for one in common)
 
 
 def _with_numbers(stack: SystemStack, members: list[Any]) -> SystemStack:
