@@ -178,10 +178,18 @@ class Forced(Wrapper):
         self.base.check_attitude(system.unforced, representation)
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
-        """Return systems with equal forces, except for constant torques, that the base splits jointly."""
-        from coadjoint.systems.system_stacks import stacks_with_forces
+        """Return systems with forces of the same classes that the base splits jointly, by the structure of tables."""
+        from coadjoint.kernels.tables.forces import with_forces
 
-        return stacks_with_forces(systems, self.base.split_jointly)
+        groups: dict[Any, list[int]] = {}
+        for m, system in enumerate(systems):
+            groups.setdefault(tuple(map(type, system.forces)), []).append(m)
+        found: list[SystemStack] = []
+        for members in groups.values():
+            for stack in self.base.split_jointly([systems[m].unforced for m in members]):
+                numbers = np.array(members)[stack.numbers]
+                found += with_forces(stack._replace(systems=systems, numbers=numbers), self.order)
+        return found
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         from coadjoint.kernels.tables.forces import forced_loop

@@ -1,7 +1,8 @@
 """How the constants of a flow table depend on H: sparse linear maps, plus rules for completed squares.
 
 Sources are numbered: coefficients of all terms of H and its constant, as in a `SystemStack`, then the coordinates of
-each force's constant torque. Negative ones count the coefficients after Casimirs were subtracted: -1 is the first.
+each force's constant torque, then the numbers in tables of other forces. Negative ones count the coefficients after
+Casimirs were subtracted: -1 is the first.
 """
 
 from __future__ import annotations

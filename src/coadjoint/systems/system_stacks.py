@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from contextlib import suppress
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.torque import torque_vector
 from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.vanishing_products import without_cancelling
@@ -26,15 +24,17 @@ class SystemStack(NamedTuple):
     # `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
     # term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant.
     # The same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those
-    # of the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `torques`
-    # are the numbers of constant torques, of as many as coordinates for each force; all other forces are equal.
+    # of the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `forces`
+    # are those numbers in tables of forces that differ, the sources `rows`, and `owners` keep their functions alive.
 
     systems: Sequence[Any]
+    rows: Integers
     numbers: Integers
     coefficients: Floats
     split: Floats
     factors: Floats
-    torques: Floats
+    forces: Floats
+    owners: NDArray[Any]
 
     @property
     def first(self) -> Any:
@@ -51,23 +51,28 @@ class SystemStack(NamedTuple):
         return terms
 
     def take(self, members: Integers) -> SystemStack:
-        columns: Any = self[1:]
-        return SystemStack(self.systems, *(column[..., members] for column in columns))
+        columns: Any = self[2:]
+        return SystemStack(self.systems, self.rows, *(column[..., members] for column in columns))
 
     def varying(self) -> tuple[Integers, Floats]:
         """Return the sources that differ between systems, numbered as in `program/sources.py`, with values (k, m)."""
-        own = np.concatenate([self.coefficients, self.torques])
-        sources = np.concatenate([own, self.split])
-        numbers = np.concatenate([np.arange(len(own)), -1 - np.arange(len(self.split))])
-        differ = np.any(sources.view(np.int64) != sources[:, :1].view(np.int64), axis=1)
-        return numbers[differ], np.ascontiguousarray(sources[differ].T)
+        sources = np.concatenate([self.coefficients, self.split])
+        numbers = np.concatenate([np.arange(len(self.coefficients)), -1 - np.arange(len(self.split))])
+        differ = different(sources)
+        values = np.concatenate([sources[differ], self.forces])
+        return np.concatenate([numbers[differ], self.rows]), np.ascontiguousarray(values.T)
 
     @classmethod
     def joined(cls, pieces: Sequence[SystemStack]) -> SystemStack:
         """Join stacks of systems of one structure, by their numbers."""
-        columns = (np.concatenate(column, axis=-1) for column in zip(*(piece[1:] for piece in pieces), strict=True))
-        joined = cls(pieces[0].systems, *columns)
+        columns = (np.concatenate(column, axis=-1) for column in zip(*(piece[2:] for piece in pieces), strict=True))
+        joined = cls(*pieces[0][:2], *columns)
         return joined if len(pieces) == 1 else joined.take(np.argsort(joined.numbers))
+
+
+def different(rows: Floats) -> NDArray[np.bool_]:
+    """Return which rows (count, members) have other bits for other members."""
+    return np.any(rows.view(np.int64) != rows[:, :1].view(np.int64), axis=1)
 
 
 def counts_of(terms: Sequence[Term]) -> list[int]:
@@ -80,7 +85,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     known: dict[Hashable, int] = {}
     members: dict[Hashable, tuple[list[int], list[Any]]] = {}
     for m, system in enumerate(systems):
-        if system._kind is not LiePoissonSystem or system.dim > MAX_DIMENSION:
+        if not isinstance(system, LiePoissonSystem) or system.dim > MAX_DIMENSION:
             continue
         keys, coefficients, constant = list[Hashable](), list[Any](), 0.0
         for term in built_in(system.hamiltonian.terms()):
@@ -90,7 +95,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
             constant += float(term.constant)
         coefficients.append((constant,))
         try:
-            key: Any = (*_algebra(system, known), type(system.hamiltonian), *keys)
+            key: Any = (system._kind, *_algebra(system, known), type(system.hamiltonian), *keys)
             chosen, columns = members.setdefault(key, ([], [[] for _ in coefficients]))
         except TypeError:  # functions that have no hash
             continue
@@ -102,38 +107,14 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
         if len(chosen) < 2:
             continue
         joined = np.ascontiguousarray(np.concatenate([np.array(column, dtype=np.float64).T for column in columns]))
-        none = np.zeros((0, len(chosen)))
-        stack = SystemStack(systems, np.array(chosen), joined, joined, none, none)
+        none, owners = np.zeros((0, len(chosen))), np.empty(len(chosen), dtype=object)
+        stack = SystemStack(systems, np.arange(0), np.array(chosen), joined, joined, none, none, owners)
         groups = grouped(_presence(stack))
         pieces = [stack] if len(groups) == 1 else [stack.take(columns) for _, columns in groups]
         for piece in pieces:
             plain = without_cancelling(piece.first.algebra, piece.terms, piece.coefficients)
             stacks.append(piece if plain.all() else piece.take(np.flatnonzero(plain)))
     return [stack for stack in stacks if stack.size > 1]
-
-
-def stacks_with_forces(
-    systems: Sequence[Any], split_jointly: Callable[[Sequence[Any]], list[SystemStack]]
-) -> list[SystemStack]:
-    """Return stacks of systems with forces, from a function that returns those of the systems without them."""
-    groups: dict[Hashable, list[int]] = {}
-    for m, system in enumerate(systems):
-        key = tuple(type(force) if force.is_constant_torque else force for force in system.forces)
-        with suppress(TypeError):  # parameters that have no hash
-            groups.setdefault(key, []).append(m)
-    stacks = []
-    for members in groups.values():
-        for stack in split_jointly([systems[m].unforced for m in members]):
-            numbers = np.array(members)[stack.numbers]
-            torques = [_torque_numbers(systems[m]) for m in numbers.tolist()]
-            stacks.append(stack._replace(systems=systems, numbers=numbers, torques=np.array(torques).T))
-    return stacks
-
-
-def _torque_numbers(system: Any) -> Floats:
-    zeros = np.zeros(system.dim)
-    each = [torque_vector(force.torque, system) if force.is_constant_torque else zeros for force in system.forces]
-    return np.concatenate(each)
 
 
 def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int, int]:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.methods.forced import Forced
+from coadjoint.methods.protocol.flow_method import FlowMethod
 
 STEP, SPAN = 1.0 / 64.0, (0.0, 0.5)
 METHODS = {
@@ -168,3 +170,92 @@ def test_memory_of_a_prepared_batch(case):
     tracemalloc.stop()
     assert prepared.system is systems
     assert used < bound * count and peak < 2 * bound * count, (used, peak)
+
+
+@pytest.fixture
+def tables_built(monkeypatch):
+    """A list of an entry for each flow table or table of forces that is built for a loop."""
+    built = []
+    for kind in (FlowMethod, Forced):
+        original = kind.compiled
+
+        def compiled(self, system, h, representation, original=original):
+            built.append(system)
+            return original(self, system, h, representation)
+
+        monkeypatch.setattr(kind, "compiled", compiled)
+    return built
+
+
+def satellites(count):
+    """Bodies of other inertia under torques of each kind: of the inertia, of closures, constant, sampled, damped."""
+    rng, wheels = np.random.default_rng(7), 0.1 * np.eye(3)
+    for _ in range(count):
+        stiffness, phase, torque = rng.uniform(0.1, 0.3), rng.uniform(0.0, 6.0), rng.uniform(-0.1, 0.1, 3)
+        body = co.systems.body(np.sort(rng.uniform(1.0, 1.9, 3)), wheels=wheels)
+        yield body.with_forces(
+            co.forces.GravityGradient(
+                1.0, lambda t, phase=phase: np.array([np.cos(t + phase), np.sin(t + phase), 0.0])
+            ),
+            co.forces.ReactionWheels(co.forces.Pointing(stiffness, 0.2), 4.0 * STEP),
+            co.forces.Torque(torque),
+            co.forces.LinearDamping(rng.uniform(0.01, 0.1)),
+        )
+
+
+BODIES = {
+    "satellites": lambda count: list(satellites(count)),
+    "bodies": lambda count: [
+        co.systems.bodies([(1.0, 1.5 + k / 64, 2.0), (2.0, 2.5, 3.0 + k / 32)], [1.0 + k / 16, 2.0])
+        for k in range(count)
+    ],
+    "on orbits": lambda count: [co.systems.satellite_on_orbit((1.0, 1.5, 2.0 + k / 32)) for k in range(count)],
+    "damped orbits": lambda count: [
+        one.with_forces(co.forces.DoubleBracketDamping(0.1 + k / 64, metric=(1.0 + k / 8, 2.0, 3.0)))
+        for k, one in enumerate(bodies(count))
+    ],
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_bodies_and_forces_of_members_share_a_table(name, tables_built):
+    """They have the bits of members alone; only in parts of other orders there are further tables."""
+    systems = BODIES[name](9)
+    state = np.concatenate([np.linspace(0.2, 0.9, systems[0].dim - 1), [1.0]])
+    if name == "satellites":
+        state = systems[0].state(angular_velocity=(0.3, -0.2, 0.1))
+    for method in (co.Splitting(order=2), co.GaussLegendre(2)):
+        tables_built.clear()
+        whole = co.prepare(co.batch(systems), method, STEP).run(state, SPAN, save_every=4)
+        assert len(tables_built) <= 6
+        assert_as_alone(systems, method, np.tile(state, (9, 1)), whole)
+
+
+def test_noise_of_members_at_temperatures_of_their_own(tables_built):
+    """Each member has its stream: that of the member of this number in an ensemble at one temperature."""
+    baths = [co.forces.HeatBath(alpha=0.1 + k / 64, temperature=0.1 + k / 32, seed=3) for k in range(5)]
+    systems = [one.with_forces(bath) for one, bath in zip(bodies(5), baths, strict=True)]
+    states = np.random.default_rng(2).standard_normal((5, 3))
+    method = co.Splitting(order=2)
+    whole = co.prepare(co.batch(systems), method, STEP).run(states, SPAN)
+    assert len(tables_built) <= 6
+    for m in range(5):
+        repeated = co.prepare(co.batch([systems[m]] * 5), method, STEP).run(np.tile(states[m], (5, 1)), SPAN)
+        assert np.array_equal(repeated.x[:, m], whole.x[:, m])
+
+
+def test_a_force_that_cannot_act_names_its_member():
+    """Samples of one member are not at steps, and the function of another one does not compile."""
+    good = next(iter(satellites(1)))
+    late = co.systems.body((1, 2, 2.5), wheels=0.1 * np.eye(3)).with_forces(
+        *(co.forces.ReactionWheels(one.law, 0.3) if one.label == "ReactionWheels" else one for one in good.forces)
+    )
+    with pytest.raises(ValueError, match="period"):
+        co.prepare(co.batch([good, good, late]), co.Splitting(), STEP)
+    torques = [lambda x: -0.1 * x, lambda x: 0.1 * x * float(open.__name__ == "open")]
+    with pytest.raises(TypeError, match="member 1"):
+        co.prepare(
+            co.batch([co.systems.rigid_body((1, 2, 2.5)).with_forces(co.forces.Torque(one)) for one in torques]),
+            co.Splitting(),
+            STEP,
+        )

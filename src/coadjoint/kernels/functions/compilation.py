@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from coadjoint.interruption import deferred
 from coadjoint.kernels.functions.contents import contents_of, lifted_contents
 from coadjoint.kernels.functions.copies import POINTER, Places, called_in_machine_code, store
-from coadjoint.kernels.functions.machine_code import MachineCode, stored_or_compiled
+from coadjoint.kernels.functions.machine_code import MachineCode, stored_or_compiled, with_environments
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
 from coadjoint.systems.user_functions import MultipleOf
@@ -313,4 +313,4 @@ def _compiled_function(
                 out[k] = new_state[k]
         return 0
 
-    return numba.cfunc(STEP_SIGNATURE, nopython=True, error_model="numpy")(call)
+    return with_environments(numba.cfunc(STEP_SIGNATURE, nopython=True, error_model="numpy")(call))

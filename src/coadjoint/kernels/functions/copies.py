@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numba import types as numba_types
 from numba.core import cgutils, ir
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.ir_utils import build_definitions
@@ -196,7 +197,7 @@ def _is_typed(function: types.FunctionType) -> bool:
 
 
 def _pipeline(copy: Any) -> dict[str, Any]:
-    return {"pipeline_class": LiftingCompiler} if hasattr(copy, "lifted") else {}
+    return {"pipeline_class": LiftingCompiler if hasattr(copy, "lifted") else CopyCompiler}
 
 
 def _python_function(value: Any) -> Any:
@@ -297,11 +298,44 @@ class LiftConstants(FunctionPass):  # type: ignore[misc]
         return True
 
 
-class LiftingCompiler(CompilerBase):  # type: ignore[misc]
-    """The compiler of Numba with `LiftConstants`."""
+class LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that is only linked into that of callers, with which LLVM optimizes it and makes machine code, once."""
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Pass: the callback has the environments of all functions in it."""
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class CopyCompiler(CompilerBase):  # type: ignore[misc]
+    """The compiler of Numba, for code that is only linked."""
 
     def define_pipelines(self) -> list[Any]:
+        self.state.library = LinkedLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(LiftConstants, FixupArgs)
+        self.add_passes(passes)
         passes.finalize()
         return [passes]
+
+    def add_passes(self, passes: Any) -> None:
+        """Add passes before others."""
+
+
+class LiftingCompiler(CopyCompiler):
+    """The same with `LiftConstants`."""
+
+    def add_passes(self, passes: Any) -> None:
+        passes.add_pass_after(LiftConstants, FixupArgs)

@@ -36,7 +36,21 @@ class MachineCode:
     @classmethod
     def of(cls, callback: Any) -> MachineCode:
         """Return that of a callback of Numba."""
-        return cls(callback.address, callback)
+        return cls(with_environments(callback).address, callback)
+
+
+def with_environments(callback: Any) -> Any:
+    """Return a callback of Numba after the functions linked into it have their objects of Python."""
+    library = callback._library
+    for name, environment in _environments(library._final_module.global_variables).items():
+        library.codegen.set_env(name, environment)
+    return callback
+
+
+def _environments(variables: Any) -> dict[str, Environment]:
+    """Return the objects of Python that functions raise or print, by the names of the variables with them."""
+    found = {one.name: lookup_environment(one.name) for one in variables if one.name.startswith(ENVIRONMENT)}
+    return {name: environment for name, environment in found.items() if environment is not None}
 
 
 def stored_or_compiled(key: Any, compiled: Callable[[], Any]) -> MachineCode:
@@ -82,8 +96,7 @@ def _content_of(callback: Any) -> bytes | None:
     module = library._final_module
     symbols = [one for of in (module.functions, module.global_variables) for one in of]
     needed = [one.name for one in symbols if one.is_declaration and not one.name.startswith("llvm.")]
-    environments = {one.name: lookup_environment(one.name) for one in symbols if one.name.startswith(ENVIRONMENT)}
-    constants = {name: one.consts for name, one in environments.items() if one is not None}
+    constants = {name: one.consts for name, one in _environments(symbols).items()}
     try:
         head = pickle.dumps((callback.native_name, needed, constants))
     except Exception:  # objects raise exceptions of any type

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.coefficients import linear_of, with_linear
 from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
 from coadjoint.systems.forces.torque import extrapolation_columns
+from coadjoint.systems.system_stacks import SystemStack, different
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -224,16 +226,9 @@ def forced_loop(
 ) -> CompiledLoop:
     """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order."""
     work_integrals = work_integrals_of(system)
-    forces_of_integrals = [label for label, _ in work_integrals]
-    tables: list[ForceTable] = []
-    keepalive: list[Any] = []
-    for k, force in system.flows:
-        label = system.labels[k]
-        reader = _ForceTableBuilder(
-            system.unforced, forces_of_integrals.index(label), forces_of_integrals.count(label), order
-        )
-        tables.append(force.describe_to(reader, system.unforced))
-        keepalive += reader.keepalive
+    described = _tables_of_forces(system, work_integrals, order, {})
+    tables = [table for table, _ in described]
+    keepalive = [owner for _, owners in described for owner in owners]
     hamiltonian_part = system.unforced
     casimirs_conserved = hamiltonian_part.has_matrices or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
@@ -257,8 +252,8 @@ def forced_loop(
         numbers,
     )
     recorded = [
-        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, force, table, k))
-        for (k, force), table in zip(system.flows, tables, strict=True)
+        CompiledTables(table, (), partial(_sources_of_force, system, j, force, table))
+        for j, ((_, force), table) in enumerate(zip(system.flows, tables, strict=True))
     ]
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
@@ -266,18 +261,87 @@ def forced_loop(
     return loop_over(STEP_LOOP, step, work_integrals=work_integrals, referenced=referenced)
 
 
-def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:
-    """Return the sources of a force of this number: a constant torque, or what its function contains."""
-    energy = CoefficientNumbers.of(system.hamiltonian.terms())
-    if len(table.function) and force._needs_energy(system):
-        contained = energy.of_coordinates(np.array(linear_coefficients_in(force, system), dtype=np.int64))
-        # Of other coefficients, a function may contain any.
-        return Sources(computed={"function": np.concatenate([energy.others, contained])})
-    if table.kind != codes("ForceKind")["CONSTANT"]:
-        return Sources()
-    position = np.arange(system.dim)
-    first = energy.size + number * system.dim
-    return Sources({"aim": Multiples(position, first + position, np.ones(system.dim))})
+def _tables_of_forces(
+    system: Any, work_integrals: Sequence[tuple[str, str]], order: int, known: dict[Any, Any]
+) -> list[tuple[ForceTable, tuple[KernelFunction, ...]]]:
+    """Return the tables of flows with their functions; of those that do not depend on the system, by id in `known`."""
+    labels, found = [label for label, _ in work_integrals], []
+    for k, force in system.flows:
+        described = known.get(id(force))
+        if described is None:
+            first, count = labels.index(system.labels[k]), labels.count(system.labels[k])
+            reader = _ForceTableBuilder(system.unforced, first, count, order)
+            described = force.describe_to(reader, system.unforced), reader.keepalive
+            if force is system.forces[k] and not force._needs_energy(system.unforced):
+                known[id(force)] = described
+        found.append(described)
+    return found
+
+
+NUMBERS = ("rate", "aim", "function", "amplitude", "turning", "basis")
+"""Fields of the table of a force that may differ between members that share its structure."""
+SPACING = 2**40
+"""Distance between the first numbers of the tables of two forces, as sources."""
+
+
+def _numbers_in(system: Any, flow: int, table: ForceTable) -> dict[str, NDArray[np.int64]]:
+    """Return the sources of the numbers in the table of a flow: those of constant torques come first."""
+    first, k = CoefficientNumbers.of(system.unforced.hamiltonian.terms()).size, system.flows[flow][0]
+    if table.kind == codes("ForceKind")["CONSTANT"]:
+        return {"aim": first + k * system.dim + np.arange(system.dim)}
+    sizes = [np.size(getattr(table, name)) for name in NUMBERS]
+    starts = first + len(system.forces) * system.dim + flow * SPACING + np.cumsum([0, *sizes])
+    return {name: start + np.arange(size) for name, start, size in zip(NUMBERS, starts, sizes, strict=False)}
+
+
+def _sources_of_force(system: Any, flow: int, force: Force, table: ForceTable) -> Sources:
+    """Return the sources of a flow: its numbers, and the linear coefficients of H that its function contains."""
+    multiples = {
+        name: Multiples(np.arange(len(numbers)), numbers, np.ones(len(numbers)))
+        for name, numbers in _numbers_in(system, flow, table).items()
+    }
+    if not len(table.function) or not force._needs_energy(system.unforced):
+        return Sources(multiples)
+    energy = CoefficientNumbers.of(system.unforced.hamiltonian.terms())
+    contained = np.array(linear_coefficients_in(force, system.unforced), dtype=np.int64)
+    return Sources(multiples, computed={"function": energy.of_coordinates(contained)})
+
+
+def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:
+    """Return stacks of systems with forces by the structure of their tables, with the numbers that differ."""
+    known, work_integrals = dict[Any, Any](), work_integrals_of(stack.first)
+    groups: dict[Hashable, list[int]] = {}
+    tables: dict[int, list[Any]] = {}
+    for column, m in enumerate(stack.numbers.tolist()):
+        with suppress(TypeError, ValueError):  # raised again, with the number of the member
+            tables[column] = _tables_of_forces(stack.systems[m], work_integrals, order, known)
+            groups.setdefault(tuple(_structure_of_force(table) for table, _ in tables[column]), []).append(column)
+    return [_with_numbers(stack.take(np.array(columns)), [tables[c] for c in columns]) for columns in groups.values()]
+
+
+def _structure_of_force(table: Any) -> Hashable:
+    """Return what members that share the structure of a table have in common."""
+    common = [getattr(table, name) for name in table._fields if name not in NUMBERS]
+    sizes = [np.size(getattr(table, name)) for name in NUMBERS]
+    return *sizes, *(one.tobytes() if isinstance(one, np.ndarray) else one for one in common)
+
+
+def _with_numbers(stack: SystemStack, members: list[Any]) -> SystemStack:
+    """Return a stack with the numbers in tables of forces that differ between its members."""
+    rows, values, system = [np.arange(0)], [np.zeros((0, stack.size))], stack.first
+    for j in range(len(members[0])):
+        tables = [described[j][0] for described in members]
+        if all(table is tables[0] for table in tables):
+            continue
+        for name, numbers in _numbers_in(system, j, tables[0]).items():
+            columns = [np.atleast_1d(getattr(table, name)).view(np.float64) for table in tables]
+            found = np.ascontiguousarray(np.stack(columns, axis=1))
+            differ = different(found)
+            rows.append(numbers[differ])
+            values.append(found[differ])
+    owners = np.empty(stack.size, dtype=object)
+    owners[:] = [tuple(owner for _, kept in described for owner in kept) for described in members]
+    return stack._replace(rows=np.concatenate(rows), forces=np.concatenate(values), owners=owners)
 
 
 def linear_coefficients_in(force: Force, system: Any) -> list[int]:

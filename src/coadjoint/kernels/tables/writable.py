@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import as_c_double
-from coadjoint.kernels.tables.compiled import PER_MEMBER_TYPES, NotWritable, TableField, as_structure, table_fields
+from coadjoint.kernels.tables.compiled import (
+    PER_MEMBER_TYPES,
+    SCALARS,
+    NotWritable,
+    TableField,
+    as_structure,
+    table_fields,
+)
 from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
@@ -63,12 +70,16 @@ class _Block:
         self.kinds = [table.kind for table in tables]
         self.word_offsets = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
         self.start: dict[tuple[int, str], int] = {}
-        pieces, self.pointers, count = [np.zeros(1)], [], 1
+        pieces, self.pointers, self.scalars, count = [np.zeros(1)], [], [], 1
         for number, fields in enumerate(fields_of_tables):
             for field in fields:
                 self.start[number, field.name] = count
-                self.pointers.append((self.word_offsets[number] + field.offset // 8, 8 * count))
-                array = field.of(tables[number].structure.source)
+                position = self.word_offsets[number] + field.offset // 8
+                if field.token in SCALARS:
+                    self.scalars.append((position, count))
+                else:
+                    self.pointers.append((position, 8 * count))
+                array = np.atleast_1d(field.of(tables[number].structure.source))
                 pieces.append(np.ascontiguousarray(array).view(np.float64))
                 count += len(array)
         self.template = np.concatenate(pieces)
@@ -84,6 +95,8 @@ class _Block:
         raw, base_address = self.raw.copy(), ctypes.addressof(as_c_double(block))
         for position, start in self.pointers:
             raw[position] = base_address + columns * start
+        for position, start in self.scalars:
+            raw[position] = block.view(np.int64)[columns * start]
         for number, position in self.referenced:
             block.view(np.int64)[position] = raw.ctypes.data + 8 * self.word_offsets[number]
         scheme, watch = (
@@ -123,7 +136,7 @@ class WritableTables:
                     raise NotWritable(f"its table has {path} that {NO_SUMS if is_constant else DEPENDENT}")
             for path, multiples in table.sources.multiples.items():
                 own = multiples.among(wanted, given)
-                template = table.value(path)[own.position]
+                template = np.atleast_1d(table.value(path))[own.position]
                 if np.any(np.isin(multiples.number, others)) or template.tobytes() != own.of(values).tobytes():
                     raise NotWritable(f"its table has {path} that {NO_SUMS}")
                 if len(own.number):
@@ -152,13 +165,15 @@ class WritableTables:
         )
         return block, self._written(block)
 
-    def _written(self, block: _Block) -> tuple[Multiples, list[tuple[Sums, list[Integers]]]]:
+    def _written(self, block: _Block) -> tuple[list[Multiples], list[tuple[Sums, list[Integers]]]]:
         """Return the multiples of given numbers with their rows in a block, and exact sums with those of each rule."""
         from coadjoint.program.sources import concatenated
 
         rows = [one._replace(position=block.start[table, path] + one.position) for table, path, one in self._multiples]
         multiples = concatenated(rows)
-        return multiples._replace(factor=None) if np.all(multiples.factor == 1.0) else multiples, [
+        plain = multiples.factor == 1.0  # copied bit by bit: some are addresses
+        found = multiples.take(plain)._replace(factor=None), multiples.take(~plain)
+        return [one for one in found if len(one.number)], [
             (sums, [block.start[table, path] + position for position, _ in sums.rules])
             for table, path, sums in self._sums
         ]
@@ -199,8 +214,9 @@ class WritableTables:
 
     def shared(self, numbers: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for numbers (m,) common to all members."""
-        block, (multiples, sums_of_rules) = self._shared.template.copy(), self._in_shared
-        block[multiples.position] = multiples.of(numbers)
+        block, (found, sums_of_rules) = self._shared.template.copy(), self._in_shared
+        for multiples in found:
+            block[multiples.position] = multiples.of(numbers)
         for sums, rows in sums_of_rules:
             for own, entries in zip(rows, sums.of(numbers), strict=True):
                 block[own] = entries
@@ -212,10 +228,11 @@ class WritableTables:
 
     def _write_columns(self, block: Floats, own: slice | Integers, numbers: Floats) -> None:
         """Write the columns of members with these numbers into a block of all."""
-        arrays, (multiples, sums_of_rules) = self._each
+        arrays, (found, sums_of_rules) = self._each
         columns = block[:, own]  # of a slice, a view
         columns[...] = arrays.template[:, None]
-        columns[multiples.position] = multiples.of(numbers).T
+        for multiples in found:
+            columns[multiples.position] = multiples.of(numbers).T
         for sums, rows in sums_of_rules:
             for entries, of_members in zip(rows, zip(*map(sums.of, numbers), strict=True), strict=True):
                 columns[entries] = np.transpose(of_members)

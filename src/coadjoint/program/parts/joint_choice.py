@@ -223,14 +223,12 @@ def _decisions_with_inputs(
     expected[inputs] = at.coefficients[inputs]
     if not np.array_equal(expected, at.coefficients):
         return []
-    number = quadratic_position(stack.terms)
-    end = 0 if number is None else sum(counts_of(stack.terms)[: number + 1])
     for key, found in _automatic(at):
-        chosen, split = stack.take(found.numbers), found.split.copy()
-        # The shift may change the number of entries of M, behind which others follow.
-        split[inputs + np.where(inputs < end, 0, len(split) - len(expected))] = chosen.coefficients[inputs]
-        chosen = chosen._replace(split=split, factors=found.factors)
-        result += [(key, one) for one in _plain(chosen, casimirs, with_order(chosen.first, choice).shift)]
+        chosen = stack.take(found.numbers)
+        shift = with_order(chosen.first, choice).shift
+        factors = {name: own for (name, _), own in zip(shift, found.factors, strict=True)}
+        chosen = _shifted(chosen, casimirs, factors)[1](np.arange(chosen.size))
+        result += [(key, one) for one in _plain(chosen, casimirs, shift)]
     return result
 
 

@@ -373,7 +373,7 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
         if stack is None:
             return
         varying, values = stack.varying()
-        found = Columns(varying, values, values[0])
+        found = Columns(varying, values, values[0], owners=stack.owners)
         with suppress(NotWritable):
             found.tables(loop, watch)
             columns[-1] = found

@@ -133,12 +133,15 @@ def split_members(first: int, last: int, workers: int, block: int) -> list[tuple
 class Columns:
     """Systems with tables that differ in some sources: `values` (systems, sources) of these `numbers`."""
 
-    def __init__(self, numbers: Integers, values: Floats, first: Floats, recorded: Sequence[Sources] = ()) -> None:
+    def __init__(
+        self, numbers: Integers, values: Floats, first: Floats, recorded: Sequence[Sources] = (), owners: Any = ()
+    ) -> None:
         self.numbers, self.values, self._first, self._recorded = numbers, values, first, recorded
+        self._owners = owners  # of functions whose addresses are among the values
         self._writable: tuple[Any, WritableTables] | None = None
 
     def take(self, columns: Integers) -> Columns:
-        chosen = Columns(self.numbers, self.values[columns], self._first, self._recorded)
+        chosen = Columns(self.numbers, self.values[columns], self._first, self._recorded, self._owners)
         chosen._writable = self._writable
         return chosen
 

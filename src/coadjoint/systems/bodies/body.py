@@ -124,8 +124,9 @@ def momentum_in_space(count: int, dim: int, alone: bool = False, turning: bool =
     return KnownInvariants(found)
 
 
+@lru_cache(maxsize=64)
 def central_coordinate(dim: int) -> Quadratic:
-    """Return the Casimir z, the last coordinate."""
+    """Return the Casimir z, the last coordinate, which members of an ensemble share."""
     linear = np.zeros(dim)
     linear[-1] = 1.0
     return quadratic_form(dim, [], linear)
