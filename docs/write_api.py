@@ -72,7 +72,6 @@ MEMBERS_OF = (
     ("A row of a certificate", Row, ""),
     ("A check-case", co.checkcases.CheckCase, "columns compare end reference write"),
     ("A comparison with a check-case", co.checkcases.Comparison, "columns passed plot"),
-    ("Errors of a comparison", co.checkcases.Errors, "largest relative"),
     ("A modified field", co.ModifiedField, "first_error keeps skew_matrix terms values"),
     ("A corrector", co.Corrector, "inverse"),
 )

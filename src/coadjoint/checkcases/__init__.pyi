@@ -1,11 +1,7 @@
 # Public names of co.checkcases and where they are defined; lazy_loader and type checkers read this file.
 
-from .check_case import BodyModel as BodyModel
 from .check_case import CheckCase as CheckCase
-from .check_case import DerivedQuantity as DerivedQuantity
-from .check_case import Quantity as Quantity
 from .comparison import Comparison as Comparison
-from .comparison import Errors as Errors
 from .registry import get as get
 from .registry import names as names
 from .tables import read_table as read_table

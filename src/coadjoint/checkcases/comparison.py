@@ -176,8 +176,8 @@ def compare(
     step = None if step is None else read_positive(step, "step")
     given: Any = samples
     is_table = hasattr(given, "keys")
-    named = "" if is_table else f"{given}: "
     raw = _read_mapping(given) if is_table else read_table(read_path(given, "samples"))
+    named = "" if is_table else f"{given}: "
     try:
         table, quantities, notes = _read_samples(case, raw, columns)
     except ValueError as error:
@@ -259,7 +259,7 @@ def errors_of(
     for quantity in quantities:
         if quantity.kind == "attitude":
             between = rotations_of(table, quantity.columns).inv() * rotations_of(reference, quantity.columns)
-            errors.append(Errors(quantity.name, "rad", between.magnitude(), 1.0))
+            errors.append(Errors(quantity.name, "rad", np.asarray(between.magnitude()), 1.0))
         else:
             values, certain = stacked(table, quantity.columns), stacked(reference, quantity.columns)
             errors.append(_vector_errors(quantity.name, quantity.unit, values, certain))

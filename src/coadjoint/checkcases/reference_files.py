@@ -13,7 +13,7 @@ from coadjoint import __version__
 from coadjoint.checkcases.attitudes import stacked
 from coadjoint.checkcases.check_case import CheckCase
 from coadjoint.checkcases.comparison import Comparison
-from coadjoint.files.output.output_files import TEXTS, write_text
+from coadjoint.files.output.output_files import TEXTS, check_target, write_text
 
 FORMATS = (".csv", *TEXTS)
 FORMAT_VERSION = 1
@@ -72,7 +72,8 @@ def _plain(value: Any) -> Any:
 
 def write_reference(case: CheckCase, path: str | Path) -> None:
     """Write a check-case as CSV or JSON, by the suffix, atomically."""
-    write_text(csv_text(case) if str(path).endswith(".csv") else json_text(case), path, FORMATS)
+    target = check_target(path, FORMATS)
+    write_text(csv_text(case) if target.suffix == ".csv" else json_text(case), target, FORMATS)
 
 
 def write_errors(comparison: Comparison, path: str | Path) -> None:

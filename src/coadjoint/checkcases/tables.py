@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ Floats = npt.NDArray[np.float64]
 
 MAX_BYTES = 2**30  # of a file of samples: some ten million rows
 MAX_COLUMNS = 10_000
+MAX_NAME_LENGTH = 200  # characters of the name of a column
 MEMORY_FACTOR = 12  # lines as Python text and their numbers, beside the bytes of a CSV file
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".nc")
 
@@ -65,7 +66,6 @@ ALIASES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 """Columns of a case and names under which they are found, without units and signs. Four numbers q1 to q4 are not among
 them: programs differ about which is the scalar."""
-UNIT_IN_NAME = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
 @suggest_keywords
@@ -104,7 +104,7 @@ def read_table(path: str | Path) -> dict[str, Floats]:
     """
     file = read_path(path, "path")
     if file.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}; rename or convert the file")
+        raise ValueError(f"{short(path)}: the suffix must be one of {', '.join(SUFFIXES)}; rename or convert the file")
     try:
         with open_regular(file) as opened:
             size = os.fstat(opened.fileno()).st_size
@@ -130,6 +130,8 @@ def _read_csv(text: str, path: str) -> dict[str, Floats]:
     names = first if header else [str(k + 1) for k in range(len(first))]
     if len(names) > MAX_COLUMNS:
         raise ValueError(f"{path}: has {len(names)} columns; give at most {MAX_COLUMNS}")
+    if any(len(name) > MAX_NAME_LENGTH for name in names):
+        raise ValueError(f"{path}: the name of a column has more than {MAX_NAME_LENGTH} characters; give a shorter one")
     rows = lines[header:]
     if not rows:
         raise ValueError(f"{path}: has a line of names and no line of numbers")
@@ -139,6 +141,8 @@ def _read_csv(text: str, path: str) -> dict[str, Floats]:
         if len(fields) != len(names):
             raise ValueError(f"{path}, line {number}: has {len(fields)} fields, and the first has {len(names)}")
         try:
+            if "_" in line:
+                raise ValueError
             values[k] = [float(entry) if entry else math.nan for entry in fields]
         except ValueError:
             wrong = next(entry for entry in fields if entry and not _is_number(entry))
@@ -163,7 +167,7 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text  # which Python allows between digits
 
 
 def _read_parquet(file: Path) -> dict[str, Floats]:
@@ -246,43 +250,49 @@ def _given_sources(
     raw: Mapping[str, Any], needed: Mapping[str, str], given: Mapping[str, str] | str | None
 ) -> dict[str, tuple[str, str]]:
     """Return the columns that the user named: column -> (name in the table, unit or "")."""
-    if given is None:
-        return {}
-    pairs: Sequence[tuple[str, str]]
-    if not hasattr(given, "items"):
-        entries = [entry.strip() for entry in given.split(",") if entry.strip()]
-        if entries and not any("=" in entry for entry in entries):
-            if len(entries) != len(raw):
-                raise ValueError(f"columns names {len(entries)} columns in their order; the table has {len(raw)}")
-            pairs = [
-                (_unit_of(entry)[0], f"{name}[{_unit_of(entry)[1]}]") for entry, name in zip(entries, raw, strict=True)
-            ]
-            pairs = [(column, name.removesuffix("[]")) for column, name in pairs if column != "-"]
-        else:
-            pairs = [(left.strip(), right.strip()) for left, _, right in (entry.partition("=") for entry in entries)]
-    else:
-        pairs = [(str(column), str(name)) for column, name in given.items()]
     sources: dict[str, tuple[str, str]] = {}
-    for column, text in pairs:
+    for column, text in () if given is None else _pairs_of(given, tuple(raw)):
         if column not in needed:
             raise unknown_name("column", column, needed)
         name, unit = (text, "") if text in raw else _unit_of(text)
         if name not in raw:
             raise ValueError(
-                f"columns: {column}={text}, and the table has no column {short(name)}; it has {_listed(raw)}"
+                f"columns: {short(column)}={short(text)}, and the table has no column {short(name)}; it has "
+                f"{_listed(raw)}"
             )
+        if column in sources or any(name == other for other, _ in sources.values()):
+            raise ValueError(f"columns: {short(column)}={short(text)} names a column again; name each once")
         sources[column] = name, unit
     return sources
 
 
+def _pairs_of(given: Any, names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return pairs of a column of the case and a name in the table, with a unit in brackets if one was given."""
+    if hasattr(given, "items"):
+        return [(str(column), str(name)) for column, name in given.items()]
+    try:
+        entries = [entry.strip() for entry in str.split(given, ",") if entry.strip()]
+    except TypeError:
+        raise TypeError(f"columns is {short(given)}; give a mapping of names, or text such as wx=p[deg/s]") from None
+    if any("=" in entry for entry in entries):
+        return [(left.strip(), right.strip()) for left, _, right in (entry.partition("=") for entry in entries)]
+    if len(entries) != len(names):
+        raise ValueError(f"columns names {len(entries)} columns in their order; the table has {len(names)}")
+    split = [(*_unit_of(entry), name) for entry, name in zip(entries, names, strict=True) if entry != "-"]
+    return [(column, f"{name}[{unit}]" if unit else name) for column, unit, name in split]
+
+
 def _unit_of(name: str) -> tuple[str, str]:
     """Split a name with a unit in brackets, such as "p [deg/s]"."""
-    match = UNIT_IN_NAME.match(name)
-    if match:
-        return match[1], match[2]
-    for ending, unit in (("_deg_s", "deg/s"), ("_rad_s", "rad/s"), ("_deg_sec", "deg/s"), ("_rad_sec", "rad/s")):
-        if name.lower().endswith(ending):
-            return name[: -len(ending)], unit
+    text = name.strip()
+    begin = max(text.rfind("["), text.rfind("("))
+    if text.endswith(("]", ")")) and begin >= 0:
+        return text[:begin].rstrip(), text[begin + 1 : -1].strip()
+    lower = name.lower()
+    for part, unit in (("_deg_sec", "deg/s"), ("_rad_sec", "rad/s"), ("_deg_s", "deg/s"), ("_rad_s", "rad/s")):
+        if lower.endswith(part) or f"{part}_" in lower:  # as in bodyAngularRateWrtEi_deg_s_Roll
+            place = lower.find(part)
+            return name[:place] + name[place + len(part) :], unit
     return name, ""
 
 

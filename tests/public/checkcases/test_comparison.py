@@ -378,6 +378,10 @@ def test_arguments_that_cannot_be_used_are_refused():
         case.compare(mine, step=-1.0)
     with refused(ValueError, "wa"):
         case.compare(mine, columns="wa=wx")
+    with refused(ValueError, "once"):
+        case.compare(mine, columns="wx=wx,wx=wy")
+    with refused(ValueError, "once"):
+        case.compare(mine, columns={"wx": "wx", "wy": "wx"})
     with refused(ValueError, "nothere"):
         case.compare(mine, columns={"wx": "nothere"})
     with refused(ValueError, "furlong"):
