@@ -116,6 +116,15 @@ def _semi_implicit_exponential(field: Field, velocity: Field, t: float, h: float
     return np.concatenate([w, _turned(y[3:], w, h)])
 
 
+def _linearly_implicit(field: Field, velocity: Field, t: float, h: float, y: Floats, memory: Any) -> Floats:
+    # The derivative of the acceleration by the rates is exact by central differences, since it is quadratic in them.
+    size = float(np.linalg.norm(y[:3])) or 1.0
+    changes = [velocity(t, y + size * unit) - velocity(t, y - size * unit) for unit in np.eye(7)[:3]]
+    J = np.column_stack(changes) / (2.0 * size)
+    w = y[:3] + h * np.linalg.solve(np.eye(3) - h * J, velocity(t, y))
+    return np.concatenate([w, _turned(y[3:], w, h)])
+
+
 def _adams_bashforth(field: Field, velocity: Field, t: float, h: float, y: Floats, memory: Any) -> Floats:
     slope = field(t, y)
     before = memory.get("slope", slope)
@@ -147,6 +156,7 @@ SCHEMES: tuple[tuple[str, int, Scheme], ...] = (
     ("explicit Euler steps of the rates, and rotations by the old rates", 1, _euler_exponential),
     ("semi-implicit Euler steps, the quaternion by the derivative at the new rates", 1, _semi_implicit),
     ("semi-implicit Euler steps, rotations by the new rates", 1, _semi_implicit_exponential),
+    ("linearly implicit Euler steps, rotations by the new rates", 1, _linearly_implicit),
     ("Adams-Bashforth steps of two values", 2, _adams_bashforth),
     ("explicit midpoint steps", 2, _midpoint),
     ("Heun's steps", 2, _heun),

@@ -201,6 +201,12 @@ def stepped(case, h, scheme):
             w = y[:3] + h * rate(y[:3])
             turned = Rotation.from_quat(np.roll(y[3:], -1)) * Rotation.from_rotvec(h * w)
             y = np.concatenate([w, np.roll(turned.as_quat(), 1)])
+        elif scheme == "linearly implicit":
+            # The derivative of (I w) x w is that of v -> (I v) x w + (I w) x v.
+            J = inverse @ np.column_stack([np.cross(I @ e, y[:3]) + np.cross(I @ y[:3], e) for e in np.eye(3)])
+            w = y[:3] + h * np.linalg.solve(np.eye(3) - h * J, rate(y[:3]))
+            turned = Rotation.from_quat(np.roll(y[3:], -1)) * Rotation.from_rotvec(h * w)
+            y = np.concatenate([w, np.roll(turned.as_quat(), 1)])
         elif scheme == "rk4":
             a = field(y)
             b = field(y + h / 2 * a)
@@ -220,6 +226,7 @@ def stepped(case, h, scheme):
     [
         ("euler", 1, "explicit Euler steps of rates"),
         ("semi-implicit", 1, "semi-implicit Euler steps, rotations"),
+        ("linearly implicit", 1, "linearly implicit Euler"),
         ("heun", 2, "Heun"),
         ("rk4", 4, "classical Runge-Kutta"),
     ],
@@ -267,6 +274,25 @@ def test_cases_of_other_kinds_find_offsets_and_signs(name):
     found = case.compare(case.reference(times + shift) | {"t": times})
     assert not found.passed and any("the motion at t +" in text for text in found.diagnosis), found.diagnosis
     assert case.compare(case.reference(times)).passed
+
+
+@pytest.mark.parametrize(
+    ("mistake", "kept"), [(conjugated, QUATERNION), (scalar_last, QUATERNION), (in_space, RATES), (offset, RATES)]
+)
+def test_parts_of_a_motion_are_enough(mistake, kept):
+    """Attitudes alone or rates alone, at times that begin after the start and are not evenly spaced."""
+    case = case_of()
+    times = np.sort(np.random.default_rng(5).uniform(3.0, 15.0, 60))
+    mine = case.reference(times)
+    found = case.compare({name: (mine | mistake(case, mine))[name] for name in ("t", *kept)})
+    assert [each.name for each in found.errors if each.unit in ("rad", "rad/s")] == [
+        "attitude" if kept is QUATERNION else "rates"
+    ]
+    assert (
+        not found.passed
+        and MISTAKES[mistake] in found.diagnosis[0]
+        and any("not compared" in note for note in found.notes)
+    )
 
 
 def test_errors_have_the_sizes_that_were_made():
