@@ -247,7 +247,7 @@ class CheckCase:
         Parameters
         ----------
         samples : mapping, str or Path
-            Columns by name, such as a table of pandas, or a file: CSV, Parquet or NetCDF.
+            Columns by name, a table of pandas or a dataset of xarray; or a file: CSV, Parquet or NetCDF.
         columns : mapping or str, optional
             From columns of the case to those of the samples, with a unit in brackets unless it is the SI unit:
             ``{"wx": "p[deg/s]"}`` or ``"wx=p[deg/s]"``. For a CSV file without a header, the names of its columns in

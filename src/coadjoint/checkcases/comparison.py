@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.checkcases.attitudes import rotations_of, stacked
 from coadjoint.checkcases.check_case import SPAN_MARGIN, CheckCase, Columns, Quantity
 from coadjoint.checkcases.diagnosis import diagnose
-from coadjoint.checkcases.tables import assign_columns, read_table
+from coadjoint.checkcases.tables import assign_columns, columns_of_dataset, read_table
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_path, read_positive
@@ -190,6 +190,9 @@ def compare(
 
 
 def _read_mapping(samples: Any) -> Mapping[str, Any]:
+    """Return columns by name of a mapping, a table of pandas, or a dataset of xarray."""
+    if hasattr(samples, "data_vars"):
+        return columns_of_dataset(samples, "samples")
     try:
         return {str(name): np.asarray(samples[name]) for name in samples}
     except (TypeError, KeyError, IndexError):

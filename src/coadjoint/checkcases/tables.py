@@ -198,18 +198,22 @@ def _read_netcdf(file: Path) -> dict[str, Floats]:
     except Exception as reason:  # a damaged file raises arbitrary errors of HDF5
         raise ValueError(f"{file}: is no NetCDF file ({type(reason).__name__}); give NetCDF 4") from None
     with dataset:
-        found: dict[str, Floats] = {}
-        for name, variable in dataset.variables.items():
-            if variable.ndim != 1 or variable.dtype.kind not in "iuf":
-                continue
-            if 8 * variable.size > MAX_BYTES:
-                raise ValueError(
-                    f"{file}: {short(str(name))} has {variable.size} values; give at most {MAX_BYTES // 8}"
-                )
-            unit = str(variable.attrs.get("units", ""))
-            found[f"{name} [{unit}]" if unit else str(name)] = np.asarray(variable.to_numpy(), dtype=np.float64)
+        found = columns_of_dataset(dataset, str(file))
     if not found:
         raise ValueError(f"{file}: has no variable of one dimension with numbers")
+    return found
+
+
+def columns_of_dataset(dataset: Any, where: str) -> dict[str, Floats]:
+    """Return the variables and coordinates of one dimension in a dataset of xarray, with their units in brackets."""
+    found: dict[str, Floats] = {}
+    for name, variable in dataset.variables.items():
+        if variable.ndim != 1 or variable.dtype.kind not in "iuf":
+            continue
+        if 8 * variable.size > MAX_BYTES:
+            raise ValueError(f"{where}: {short(str(name))} has {variable.size} values; give at most {MAX_BYTES // 8}")
+        unit = str(variable.attrs.get("units", ""))
+        found[f"{name} [{unit}]" if unit else str(name)] = np.asarray(variable.to_numpy(), dtype=np.float64)
     return found
 
 

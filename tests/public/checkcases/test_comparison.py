@@ -244,7 +244,7 @@ def test_schemes_of_low_order_are_found_by_their_step(scheme, order, words):
 
 def test_samples_of_a_heavy_top_by_a_scheme_of_low_order():
     """The emulation has the torque of the case, here of gravity; half of a step is named."""
-    case = case_of("lagrange_top", end=1.0)
+    case = case_of("lagrange_top", end=0.3)
     mine = case.reference(case.times[:-1] + 0.0005) | {"t": case.times[:-1]}
     found = case.compare(mine, step=0.001)
     assert any("+0.0005 s, 0.5 steps later" in text for text in found.diagnosis), found.diagnosis
@@ -313,11 +313,11 @@ def test_errors_have_the_sizes_that_were_made():
 def test_tolerance_is_a_bound_on_both_sides():
     case = case_of("free_body")
     mine = case.reference()
-    size = case.compare(mine | {"wx": mine["wx"] + 1e-5}).errors[0].largest
-    energy = max(each.largest for each in case.compare(mine | {"wx": mine["wx"] + 1e-5}).errors)
-    assert size <= energy
-    assert case.compare(mine | {"wx": mine["wx"] + 1e-5}, tolerance=1.001 * energy).passed
-    assert not case.compare(mine | {"wx": mine["wx"] + 1e-5}, tolerance=0.999 * energy).passed
+    moved = mine | {"wx": mine["wx"] + 1e-5}
+    largest = max(each.largest for each in case.compare(moved, tolerance=1.0).errors)
+    assert 1e-6 < largest < 1e-3
+    assert case.compare(moved, tolerance=1.001 * largest).passed
+    assert not case.compare(moved, tolerance=0.999 * largest).passed
 
 
 @pytest.mark.parametrize("size", [1e-7, 1e30])
@@ -365,7 +365,11 @@ def test_results_of_other_cases():
     assert np.isclose(precession, np.linalg.norm(L) / 2) and np.isclose(math.cos(angle), L[2] / np.linalg.norm(L))
 
 
-@pytest.mark.parametrize("name", co.checkcases.names())
+COMPILED = {"eccentric_libration", "water_dimer"}  # by Numba, in some seconds
+NAMES = [pytest.param(name, marks=[pytest.mark.long] if name in COMPILED else []) for name in co.checkcases.names()]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_statements_name_every_parameter_and_column(name):
     case = case_of(name)
     text = str(case)

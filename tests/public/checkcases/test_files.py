@@ -86,6 +86,20 @@ def test_netcdf_is_read_with_its_units(case, tmp_path):
         case.compare(tmp_path / "broken.nc")
 
 
+def test_tables_of_other_libraries_are_compared(case):
+    """A frame of pandas, a dataset of xarray with the time as a coordinate, and plain lists."""
+    import pandas
+    import xarray
+
+    columns = columns_of(case)
+    dataset = xarray.Dataset({name: ("t", columns[name]) for name in NAMES}, {"t": columns["t"]})
+    dataset["wy"] = np.degrees(dataset["wy"])
+    dataset["wy"].attrs["units"] = "deg/s"
+    for samples in (pandas.DataFrame(columns), dataset, {name: list(values) for name, values in columns.items()}):
+        found = case.compare(samples)
+        assert found.passed and len(found.errors) == 4
+
+
 def test_parquet_is_read(case, tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
@@ -202,13 +216,13 @@ def euler(case, h):
 def test_command_measures_the_order_from_several_steps(tmp_path, check):
     case = co.checkcases.get("free_body", end=2.0)
     arguments = ["free_body", "end=2"]
-    for h in (0.002, 0.001, 0.0005):
+    for h in (0.02, 0.01, 0.005):
         (tmp_path / f"{h}.csv").write_text(csv(euler(case, h)))
         arguments += ["--compare", tmp_path / f"{h}.csv", "--step", h]
     status, printed, _ = check(*arguments)
     assert status == 1
     order = float(printed.partition("observed order of the rates: ")[2].split()[0])
-    assert abs(order - 1.0) < 0.05
+    assert abs(order - 1.0) < 0.2
     assert "the scheme is of order 1: the samples agree with explicit Euler steps" in printed
 
 

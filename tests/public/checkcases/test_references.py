@@ -335,7 +335,7 @@ INDEPENDENT = {
 }
 
 
-LONG_RUNS = {"water_dimer"}  # whose forces take DOP853 some seconds
+LONG_RUNS = {"eccentric_libration", "water_dimer"}  # of some seconds, by DOP853 and the compiler
 NAMES = [pytest.param(name, marks=[pytest.mark.long] if name in LONG_RUNS else []) for name in co.checkcases.names()]
 
 
