@@ -62,12 +62,15 @@ class DerivedQuantity(NamedTuple):
         From the columns, each (k,), to values (k,) or vectors (k, n).
     quantities : tuple of str
         Quantities that it needs.
+    size : float
+        Least size by which errors are divided: that of its terms, if they cancel.
     """
 
     name: str
     unit: str
     function: Callable[[Mapping[str, Floats]], Floats]
     quantities: tuple[str, ...]
+    size: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

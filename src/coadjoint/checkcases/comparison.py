@@ -270,13 +270,13 @@ def errors_of(
     for invariant in case.invariants:
         if present.issuperset(invariant.quantities):
             values, certain = invariant.function(table), invariant.function(reference)
-            errors.append(_vector_errors(invariant.name, invariant.unit, values, certain))
+            errors.append(_vector_errors(invariant.name, invariant.unit, values, certain, invariant.size))
     return errors
 
 
-def _vector_errors(name: str, unit: str, values: Floats, certain: Floats) -> Errors:
+def _vector_errors(name: str, unit: str, values: Floats, certain: Floats, least: float = 0.0) -> Errors:
     differences, sizes = (np.abs(each.reshape(len(each), -1)) for each in (values - certain, certain))
-    scale = float(np.linalg.norm(sizes, axis=1).max())
+    scale = max(float(np.linalg.norm(sizes, axis=1).max()), least)
     return Errors(name, unit, np.asarray(np.linalg.norm(differences, axis=1)), scale if scale > 0.0 else 1.0)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from scipy.special import fresnel
 
 import coadjoint as co
 from refusals import refused
@@ -347,6 +348,27 @@ def test_period_of_the_flip():
     assert np.isclose(half["wy"][0], -half["wy"][1])
     with refused(ValueError, "separatrix"):
         case_of("middle_axis_flip", rates=(0.0, 5.0, 0.0))
+
+
+def test_spin_up_by_fresnel_integrals():
+    """Across the axis of a symmetric body, W' = i n W + torque/transverse with W = wx + i wy and n linear in time."""
+    case = case_of("spin_up")
+    across, along, torque, w = (np.asarray(case.parameters[k][0]) for k in ("transverse", "axial", "torque", "rates"))
+    x = case.reference()
+    spin, rate = w[2], torque[2] / along
+    assert np.allclose(x["wz"], spin + rate * x["t"], atol=1e-11)
+    # The phase is a (t + b)^2 + constant, and the integral of exp(-i a s^2) is that of Fresnel.
+    a, b = 0.5 * (along - across) / across * rate, spin / rate
+
+    def integral(s):
+        sine, cosine = fresnel(s * math.sqrt(2 * abs(a) / math.pi))
+        return math.sqrt(math.pi / (2 * abs(a))) * (cosine - 1j * math.copysign(1.0, a) * sine)
+
+    s = x["t"] + b
+    across_axis = (w[0] + 1j * w[1]) * np.exp(-1j * a * b**2)
+    across_axis = across_axis + (torque[0] + 1j * torque[1]) / across * (integral(s) - integral(b))
+    across_axis = across_axis * np.exp(1j * a * s**2)
+    assert np.allclose(x["wx"] + 1j * x["wy"], across_axis, atol=1e-10)
 
 
 def test_results_of_other_cases():

@@ -59,10 +59,7 @@ def gyrostat(
         motion=motion,
         times=times,
         accuracy=1e-11,
-        basis=(
-            "this library, Gauss-Legendre methods of orders 16 and 12, and DOP853 agree; the rates are elliptic "
-            "functions, which agree as well"
-        ),
+        basis="this library, Gauss-Legendre methods of orders 16 and 12, and a Taylor series agree",
         source="J. Wittenburg, Dynamics of Multibody Systems (2008), section 4.6",
         invariants=body_invariants(model),
         body=model,

@@ -72,8 +72,8 @@ def spin_up(
         times=times,
         accuracy=1e-11,
         basis=(
-            "this library, splittings of orders 8 and 6 with an exact free body, and DOP853 agree; so do the rates "
-            "by Fresnel integrals"
+            "this library, splittings of orders 8 and 6 with an exact free body, and a Taylor series agree; so do "
+            "the rates by Fresnel integrals"
         ),
         source=(
             "J. M. Longuski, Real solutions for the attitude motion of a self-excited rigid body, Acta "

@@ -58,9 +58,16 @@ def top_case(
         torque=torque,
         potential=lambda matrices: matrices[:, 2] @ lever,
     )
-    in_space = body_invariants(model)[1]
-    vertical = DerivedQuantity(
-        "vertical momentum", "kg m^2/s", lambda columns: in_space.function(columns)[:, 2], in_space.quantities
+    energy_of_body, in_space = body_invariants(model)
+    invariants = (
+        energy_of_body._replace(size=float(np.linalg.norm(lever))),
+        DerivedQuantity(
+            "vertical momentum",
+            "kg m^2/s",
+            lambda columns: in_space.function(columns)[:, 2],
+            in_space.quantities,
+            float(np.linalg.norm(moments * w)),
+        ),
     )
     times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
     return CheckCase(
@@ -79,9 +86,9 @@ def top_case(
         motion=motion,
         times=times,
         accuracy=1e-11,
-        basis="this library, Gauss-Legendre methods of orders 16 and 12, and DOP853 agree",
+        basis="this library, Gauss-Legendre methods of orders 16 and 12, and a Taylor series agree",
         source=source,
-        invariants=(body_invariants(model)[0], vertical),
+        invariants=invariants,
         body=model,
         spread=lambda: motion.spread(times),
     )
