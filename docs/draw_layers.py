@@ -19,6 +19,7 @@ LAYERS = {
     "analysis": ("what is it worth?", 6.2, -0.65),
     "pictures": ("what does\nit look like?", 6.2, -1.95),
     "experiments": ("does it hold?", 7.4, -1.3),
+    "checkcases": ("do others\nagree?", 7.4, 1.95),
 }
 """Layer: its question, and its place. A layer uses layers to its left, and those above it in this list."""
 SHORTCUTS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
@@ -66,6 +67,8 @@ def draw() -> Any:
     for y, end in ((0.65, 0.65), (-0.5, 0.5)):
         _arrow(axes, (6.2 + WIDE / 2, y), (7.4 - WIDE / 2, end))
     _arrow(axes, (7.4, -1.3 + HIGH / 2), (7.4, 0.65 - HIGH / 2))
+    _arrow(axes, (6.2 + WIDE / 2, 0.9), (7.4 - WIDE / 2, 1.8))
+    _arrow(axes, (7.4, 1.95 - HIGH / 2), (7.4, 0.65 + HIGH / 2))
     notes = ("algebra, energy, state go in at the left", "solid: the results of a layer go to the right")
     for line, said in enumerate((*notes, "dashed: imported only when asked")):
         axes.text(-0.43, 2.2 - 0.3 * line, said, ha="left", va="center", color=INK, size=11, style="italic")

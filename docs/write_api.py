@@ -71,6 +71,8 @@ MEMBERS_OF = (
     ("A phase drift", co.PhaseDrift, "growth plot"),
     ("A certificate", co.Certificate, "failures passed plot to_json to_mapping"),
     ("A row of a certificate", Row, ""),
+    ("A check-case", co.checkcases.CheckCase, "columns compare end reference write"),
+    ("A comparison with a check-case", co.checkcases.Comparison, "columns passed plot"),
     ("A modified field", co.ModifiedField, "first_error keeps skew_matrix terms values"),
     ("A corrector", co.Corrector, "inverse"),
 )
@@ -90,6 +92,7 @@ NAMESPACES = (
     ("Schemes of your own ([own_schemes.md](own_schemes.md))", "methods"),
     ("Analysis", "analysis"),
     ("Correlations in space and time ([spins.md](spins.md))", "spectra"),
+    ("Check-cases for simulators ([checkcases.md](checkcases.md))", "checkcases"),
     ("Plotting ([gallery.md](gallery.md))", "plotting"),
     ("Stored results ([files.md](files.md))", "results"),
     ("Functions of JAX ([derivatives.md](derivatives.md#jax))", "jax"),

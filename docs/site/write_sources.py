@@ -28,6 +28,8 @@ URLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["pro
 ELSEWHERE = re.compile(r"(?<=\]\()\.\./[\w/]+\.(?:png|gif|svg)(?=\))")
 """Pictures outside the folder of the pages: the site has copies beside its pages."""
 SYSTEMS = re.compile("<!-- systems: (.*?) -->")
+CASES = "<!-- check-cases -->"
+"""In a page, where the site links to the files of the check-cases."""
 PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggCBd81ytgAAAABJRU5ErkJggg==")
 """A picture in the format PNG."""
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
@@ -53,9 +55,11 @@ def write(folder: Path, explorer: Path | None) -> None:
         pages[page.name] = with_sentences(pages[page.name], pages)
     for path, text in pages.items():
         pages[path] = SYSTEMS.sub(lambda comment: "\n".join(thumbnails(comment[1], "systems/")), text)
+    pages["checkcases.md"] = pages["checkcases.md"].replace(CASES, links_of_check_cases())
     for path, text in pages.items():
         write_if_changed(folder / path, with_explorer(text, path) if explorer else text)
     copy_explorer(explorer, folder / "extra")
+    write_check_cases(folder / "extra" / "checkcases")
     for old in {*folder.rglob("*.md"), *folder.rglob("*.rst")} - {folder / path for path in pages}:
         old.unlink()
     for file in [file for kind in ("png", "gif", "svg", "json") for file in DOCS.glob(f"*.{kind}")]:
@@ -118,6 +122,28 @@ def copy_explorer(explorer: Path | None, extra: Path) -> None:
     extra.mkdir(parents=True)
     if explorer is not None:
         shutil.copytree(explorer, extra / "explorer")
+
+
+def links_of_check_cases() -> str:
+    """Return a list of the check-cases with their files."""
+    import coadjoint as co
+
+    links = {
+        name: " ".join(f'<a href="checkcases/{name}.{kind}" download>{kind.upper()}</a>' for kind in ("csv", "json"))
+        for name in co.checkcases.names()
+    }
+    return "\n".join(f"- `{name}`: {files}" for name, files in links.items())
+
+
+def write_check_cases(folder: Path) -> None:
+    """Write the files of the check-cases, which are part of the site as they are."""
+    import coadjoint as co
+
+    folder.mkdir(parents=True)
+    for name in co.checkcases.names():
+        case = co.checkcases.get(name)
+        for kind in ("csv", "json"):
+            case.write(folder / f"{name}.{kind}")
 
 
 def published(page: Path) -> str:

@@ -3,6 +3,7 @@
 from . import algebras as algebras
 from . import analysis as analysis
 from . import bodies as bodies
+from . import checkcases as checkcases
 from . import jax as jax
 from . import methods as methods
 from . import plotting as plotting

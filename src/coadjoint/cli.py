@@ -1,8 +1,9 @@
 """Entry point of the command ``coadjoint``: exit statuses and one-line error messages.
 
 Exit status: 0, success; 1, a run failed (the solution so far is written, and marked as failed), its result could not be
-written, or a scheme lacks a declared property (``certify``); 2, invalid input, explained in one line on standard error;
-128 + the number of a signal that ended the process: 130, interrupted; 143, terminated; 141, broken pipe.
+written, a scheme lacks a declared property (``certify``), or samples differ from a check-case (``checkcase``); 2,
+invalid input, explained in one line on standard error; 128 + the number of a signal that ended the process: 130,
+interrupted; 143, terminated; 141, broken pipe.
 
 The commands are in `coadjoint.commands`. This module imports nothing expensive, so that interrupts are handled from the
 start.

@@ -424,6 +424,98 @@ def check_installation(quiet: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
+@click.command("checkcase")
+@click.argument("name", required=False)
+@click.argument("parameters", nargs=-1, metavar="[KEY=NUMBERS]...")
+@click.option("--list", "show_list", is_flag=True, help="List the check-cases with their parameters.")
+@click.option(
+    "--out",
+    metavar="PATH",
+    help="Path of the reference: .csv or .json; with --compare that of the errors over time: .csv.",
+)
+@click.option(
+    "--compare",
+    "files",
+    multiple=True,
+    metavar="FILE",
+    help="Samples of a simulator: .csv, .parquet or .nc (NetCDF). Several, of different steps, give the order.",
+)
+@click.option(
+    "--columns",
+    metavar="NAMES",
+    help="Columns of FILE: 't=time,wx=p[deg/s],...', or all names in their order for a file without a header. By "
+    "default they are found by name.",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    metavar="E",
+    help="Largest error that passes, relative, or in radians for attitudes; by default 1e-6.",
+)
+@click.option(
+    "--step",
+    "steps",
+    type=float,
+    multiple=True,
+    metavar="H",
+    help="Step of the simulator, in seconds, for a diagnosis of its scheme; once for each FILE.",
+)
+@click.option("--plot", "figure_path", metavar="PATH", help="Path of a figure of the errors: .png, .pdf or .svg.")
+def check_simulator(
+    name: str | None,
+    parameters: tuple[str, ...],
+    show_list: bool,
+    out: str | None,
+    files: tuple[str, ...],
+    columns: str | None,
+    tolerance: float | None,
+    steps: tuple[float, ...],
+    figure_path: str | None,
+) -> None:
+    """Describe the check-case NAME, write its certain answer, or compare the output of a simulator with it.
+
+    Parameters of a case follow its name in SI units, such as free_body inertia=1,2,2.5 rates=0.1,2,0.1. The exit status
+    of --compare is 0 within the tolerance, and 1 beyond it.
+    """
+    from coadjoint.checkcases.comparison import Comparison, observed_orders
+    from coadjoint.checkcases.reference_files import FORMATS, write_errors
+    from coadjoint.checkcases.registry import get
+    from coadjoint.checkcases.report import described_case, listed_cases, read_case_parameter
+    from coadjoint.files.output.output_files import FIGURES, check_target, write_figure
+
+    given = {"--columns": columns, "--tolerance": tolerance, "--step": steps or None, "--plot": figure_path}
+    if name is None or show_list:
+        return click.echo(listed_cases())
+    if not files and (unused := [key for key, value in given.items() if value is not None]):
+        raise click.UsageError(f"{unused[0]} is for a comparison; give --compare FILE")
+    if steps and len(steps) != len(files):
+        raise click.UsageError(f"--step was given {len(steps)} times, for {len(files)} files; give it once for each")
+    if len(files) > 1 and (out or figure_path):
+        raise click.UsageError("--out and --plot are of one comparison; give --compare once")
+    case = get(name, **dict(map(read_case_parameter, parameters)))
+    target = None if out is None else check_target(out, (".csv",) if files else FORMATS)
+    figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
+    if not files:
+        click.echo(described_case(case)) if target is None else case.write(target)
+    comparisons: list[Comparison] = []
+    bound = {} if tolerance is None else {"tolerance": tolerance}
+    for k, file in enumerate(files):
+        found = case.compare(file, columns=columns, step=steps[k] if steps else None, **bound)
+        comparisons.append(found)
+        click.echo(f"{file}\n{found}" if len(files) > 1 else str(found))
+    if len(files) > 1 and steps:
+        for what, order in observed_orders(comparisons, steps).items():
+            click.echo(f"observed order of the {what}: {order:.2f}")
+    if comparisons and target is not None:
+        write_errors(comparisons[0], target)
+    if comparisons and figure_target is not None:
+        write_figure(comparisons[0].plot(), figure_target)
+    for path in filter(None, (target, figure_target)):
+        click.echo(f"written: {path}")
+    if not all(found.passed for found in comparisons):
+        raise click.exceptions.Exit(1)
+
+
 @click.command("schema")
 def print_schema() -> None:
     """Print the JSON Schema of configuration files, for editors."""
@@ -530,6 +622,7 @@ ALL_COMMANDS = [
     list_algebras,
     list_methods,
     check_installation,
+    check_simulator,
     print_schema,
     reproduce,
     draw_gallery,

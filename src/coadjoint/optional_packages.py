@@ -15,6 +15,7 @@ EXTRAS = {
     "numcodecs": "io",
     "google_crc32c": "io",
     "pydantic": "io",
+    "pyarrow": "parquet",
     "matplotlib": "plot",
     "PIL": "plot",
     "click": "cli",

@@ -46,7 +46,12 @@ ROBOT = pathlib.Path(FOLDER.name, "robot.urdf")
 INERTIAL = '<mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/>'
 ROBOT.write_text(f'<robot name="r"><link name="a"><inertial>{INERTIAL}</inertial></link></robot>', encoding="utf-8")
 
+SAMPLES = pathlib.Path(FOLDER.name, "samples.csv")
+ROD = co.checkcases.get("rod", samples=5)
+ROD.write(SAMPLES)
+
 OBJECTS = {
+    "CheckCase": ROD,
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
     "Corrector": co.make_corrector(BODY, co.Splitting(), X),
     "Force": co.forces.LinearDamping(0.1),
@@ -90,6 +95,20 @@ FURTHER = {
     "a parameter of the catalogue": lambda a: co.algebras.get("A3,7", a=a),
     "a size of the catalogue": lambda n: co.algebras.get("so(n)", n=n),
     "parts": lambda parts: co.Splitting(parts=parts).describe(BODY),
+    "a check-case": lambda inertia, rates, end, samples: co.checkcases.get(
+        "free_body", inertia=inertia, rates=rates, end=end, samples=samples
+    ),
+    "a tensor of a check-case": lambda moments, rotation: co.checkcases.get(
+        "free_body_products", moments=moments, rotation=rotation
+    ),
+    "a top of a check-case": lambda axial, weight, distance, tilt: co.checkcases.get(
+        "kovalevskaya_top", axial=axial, weight=weight, distance=distance, tilt=tilt
+    ),
+    "a libration of a check-case": lambda mean_motion, pitch: co.checkcases.get(
+        "pitch_libration", mean_motion=mean_motion, pitch=pitch
+    ),
+    "a rotor of a check-case": lambda rotor: co.checkcases.get("gyrostat", rotor=rotor),
+    "a torque of a check-case": lambda torque: co.checkcases.get("spin_up", torque=torque),
     "a run of matrices": lambda W, t_span: co.integrate(TURNING, W, t_span, 0.5),
 }
 # Constructors with the domain of each parameter.
@@ -138,6 +157,17 @@ OWN = {
     "co.frequencies": {"count": 1},
     **{f"co.{name}": {"step": 0.1} for name in ("integrate", "poincare_section", "prepare")},
     "co.methods.get": {"name": "Taylor"},
+    "co.checkcases.get": {"name": "rod"},
+    "co.checkcases.read_table": {"path": SAMPLES},
+    "CheckCase.compare": {"samples": SAMPLES},
+    "CheckCase.reference": {"t": [0.0, 1.0]},
+    "CheckCase.write": {"path": SAMPLES.with_name("other.csv")},
+    "a check-case": {"inertia": (1.0, 2.0, 2.5), "rates": X, "end": 2.0, "samples": 5},
+    "a tensor of a check-case": {"moments": (1.0, 2.0, 2.5), "rotation": X},
+    "a top of a check-case": {"axial": 1.0, "weight": 1.0, "distance": 0.1, "tilt": 0.5},
+    "a libration of a check-case": {"mean_motion": 1e-3, "pitch": 0.5},
+    "a rotor of a check-case": {"rotor": 1.0},
+    "a torque of a check-case": {"torque": X},
     "co.predicted_drift": {"modified": KEPT, "step": 0.1},
     "co.systems.get": {"name": "rigid_body"},
     **{f"what {name} returns": {"value": ZERO} for name in ("J", "a stream")},
@@ -149,7 +179,7 @@ OWN = {
 # does not check them again, or lower calls whose states have been checked.
 LEFT_OUT = re.compile(
     r"\.(plot|movie)\(|co\.plotting\.|co\.torch|co\.jax|workers|co\.methods\.(Coeff|Oper|Sweep|Work|begin|iterate|regis|"
-    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|spectra)\.[A-Z]|describe_to|"
+    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|checkcases|spectra)\.[A-Z]|describe_to|"
     r"Force\.(flow|check|field)|hamiltonian_field|co\.System\(|"
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"

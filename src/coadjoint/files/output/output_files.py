@@ -53,6 +53,7 @@ REQUIRED_PACKAGES = {
     **dict.fromkeys((*FIGURES, ".mp4"), ("matplotlib",)),
     ".gif": ("matplotlib", "PIL"),
     ".json": (),
+    ".csv": (),
     ".html": (),
     **dict.fromkeys(HEADERS, ()),
 }
@@ -60,6 +61,7 @@ FORMAT_NAMES = {
     ".nc": "NetCDF",
     ".zarr": "Zarr",
     ".json": "JSON",
+    ".csv": "CSV",
     ".html": "a page",
     **dict.fromkeys(HEADERS, "a header"),
     **dict.fromkeys(FIGURES, "a figure"),
@@ -165,7 +167,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_text(text: str, path: str | Path, suffixes: Iterable[str] = TEXTS) -> None:
-    """Write text (JSON, a page or a header) to a file with one of the suffixes, atomically; see `check_target`."""
+    """Write text (JSON, CSV, a page or a header) to a file with one of the suffixes, atomically; see `check_target`."""
     target = check_target(path, suffixes)
     with pending(target) as unfinished:
         unfinished.path.write_text(text, encoding="utf-8")

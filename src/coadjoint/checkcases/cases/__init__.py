@@ -1,0 +1,1 @@
+"""The check-cases, one file each; `coadjoint.checkcases.registry` finds them."""

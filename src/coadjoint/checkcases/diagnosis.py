@@ -1,0 +1,498 @@
+"""What a difference looks like: known mistakes are undone, or made in the reference, until little of it is left.
+
+Each candidate returns corrected samples, or another reference, and is ranked by the sum of the logarithms of the
+errors of all quantities. The best one that divides the errors by `LEAST_FACTOR` in total is reported, and the search
+repeats on what it leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from itertools import permutations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from coadjoint.checkcases.attitudes import body_columns, free_columns, rotations_of, stacked
+from coadjoint.checkcases.check_case import CheckCase, Columns, Quantity
+from coadjoint.checkcases.emulated_schemes import emulated_runs
+
+Floats = npt.NDArray[np.float64]
+Table = Mapping[str, Floats]
+
+LEAST_FACTOR = 8.0
+"""Division of the errors that makes a mistake likely; parameters that are fitted to a wrong model gain two or three."""
+SIMPLER = 3.0  # an earlier, simpler candidate is preferred to one whose errors are smaller by less than this
+MAX_FINDINGS = 4
+MAX_ROWS = 400  # samples that are looked at
+GRID = 161  # trial offsets of the time and trial clock rates
+WIDEST_OFFSET = 0.05  # of the span, and at least five samples
+WIDEST_RATE = 0.05  # relative change of the clock
+DENSE = 2000  # points of the interpolated reference
+STEADY = 0.9  # share of the variance of an invariant that a straight line explains, if it grows steadily
+
+
+class Explanation(NamedTuple):
+    """A mistake: its sentence, the samples without it, or the reference with it, on some rows."""
+
+    sentence: str
+    table: Table
+    reference: Table
+    rows: Any = slice(None)
+
+
+class Problem(NamedTuple):
+    """Samples and the reference at their times, which candidates see."""
+
+    case: CheckCase
+    table: Table
+    reference: Table
+    quantities: tuple[Quantity, ...]
+    tolerance: float
+    step: float | None
+
+    def errors(self, table: Table, reference: Table, rows: Any = slice(None)) -> dict[str, float]:
+        """Return root-mean-square errors of quantities, relative or in radians."""
+        found = {}
+        for quantity in self.quantities:
+            names = quantity.columns
+            if quantity.kind == "attitude":
+                between = rotations_of(table, names)[rows].inv() * rotations_of(reference, names)[rows]
+                found[quantity.name] = float(np.sqrt(np.mean(between.magnitude() ** 2)))
+            else:
+                difference = (stacked(table, names) - stacked(reference, names))[rows]
+                size = np.linalg.norm(stacked(self.reference, names), axis=1).max() or 1.0
+                found[quantity.name] = float(np.sqrt(np.mean(np.sum(difference**2, axis=1)))) / float(size)
+        return found
+
+    def score(self, table: Table, reference: Table, rows: Any = slice(None)) -> float:
+        """Return the sum of the logarithms of the errors; those far below the tolerance count alike."""
+        # Errors above the size of the motion count alike too: smaller samples are not nearer to it.
+        floor = max(0.01 * self.tolerance, self.case.accuracy)
+        total = 0.0
+        for name, error in self.errors(table, reference, rows).items():
+            total += math.log(min(error, self.sizes[name]) + floor)
+        return total
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Root-mean-square sizes of quantities, relative to the largest, and one radian for attitudes."""
+        found = {}
+        for quantity in self.quantities:
+            lengths = np.linalg.norm(stacked(self.reference, quantity.columns), axis=1)
+            largest = float(lengths.max()) or 1.0
+            is_attitude = quantity.kind == "attitude"
+            found[quantity.name] = 1.0 if is_attitude else float(np.sqrt(np.mean(lengths**2))) / largest
+        return found
+
+
+def diagnose(
+    case: CheckCase,
+    table: Table,
+    reference: Table,
+    quantities: tuple[Quantity, ...],
+    tolerance: float,
+    step: float | None,
+) -> list[str]:
+    """Return what a difference beyond the tolerance looks like, as sentences; empty if it is like no known mistake."""
+    rows = np.unique(np.linspace(0, len(table["t"]) - 1, MAX_ROWS).round().astype(int))
+    problem = Problem(
+        case,
+        {name: values[rows] for name, values in table.items()},
+        {name: values[rows] for name, values in reference.items()},
+        quantities,
+        tolerance,
+        step,
+    )
+    findings: list[str] = []
+    for _ in range(MAX_FINDINGS):
+        if max(problem.errors(problem.table, problem.reference).values()) <= tolerance:
+            break
+        found = _best(problem)
+        if found is None:
+            break
+        findings.append(found.sentence)
+        rows = found.rows
+        problem = problem._replace(
+            table={name: np.asarray(values)[rows] for name, values in found.table.items()},
+            reference={name: np.asarray(values)[rows] for name, values in found.reference.items()},
+        )
+    findings += steady_changes(case, table, reference, quantities, tolerance)
+    return findings
+
+
+def _best(problem: Problem) -> Explanation | None:
+    """Return the simplest of the most likely mistakes; None if none divides the errors enough."""
+    trials: list[tuple[float, Explanation, bool]] = []
+    for candidates in CANDIDATES:
+        if any(explained for _, _, explained in trials):
+            break  # later kinds are less simple, and take longer
+        for trial in candidates(problem):
+            before = problem.score(problem.table, problem.reference, trial.rows)
+            gain = before - problem.score(trial.table, trial.reference, trial.rows)
+            if math.isfinite(gain) and gain > 0.0:
+                left = problem.errors(trial.table, trial.reference, trial.rows)
+                trials.append((gain, trial, max(left.values()) <= problem.tolerance))
+    best = max((gain for gain, _, _ in trials), default=0.0)
+    if best < math.log(LEAST_FACTOR):
+        return None
+    likely = max(best - math.log(SIMPLER), math.log(LEAST_FACTOR))
+    return next(trial for gain, trial, _ in trials if gain >= likely)
+
+
+def _pairs(problem: Problem) -> Iterator[tuple[Quantity, Quantity | None, str]]:
+    """Yield the quantities of rates with the attitude of the same body in the case, and a label of the body."""
+    attitudes = {quantity.name: quantity for quantity in problem.case.quantities if quantity.kind == "attitude"}
+    for quantity in problem.quantities:
+        if quantity.name.startswith("rates"):
+            suffix = quantity.name.removeprefix("rates")
+            yield quantity, attitudes.get(f"attitude{suffix}"), f" of body{suffix}" if suffix else ""
+
+
+def _with(table: Table, names: tuple[str, ...], values: Floats) -> Table:
+    return {**table, **dict(zip(names, values.T, strict=True))}
+
+
+FACTORS = (
+    ("in degrees per second", math.pi / 180),
+    ("in revolutions per minute", math.pi / 30),
+    ("in revolutions per second", 2 * math.pi),
+    ("of the opposite sign", -1.0),
+)
+
+
+def _rates(problem: Problem) -> Iterator[Explanation]:
+    """Yield units, sign, frame and order of the rates."""
+    for rates, attitude, of in _pairs(problem):
+        w = stacked(problem.table, rates.columns)
+        variants: list[tuple[str, Any]] = [(what, factor * w) for what, factor in FACTORS]
+        if attitude is not None:
+            turned = rotations_of(problem.reference, attitude.columns)
+            variants.append(("along the axes of space, not of the body", turned.inv().apply(w)))
+            variants.append(("turned from the body to space once more", turned.apply(w)))
+            degrees = math.pi / 180 * w
+            variants.append(("along the axes of space, and in degrees per second", turned.inv().apply(degrees)))
+        if problem.case.body is not None and not of:
+            tensor = problem.case.body.inertia
+            if np.linalg.matrix_rank(tensor) == 3:
+                variants.append(("angular momenta in the body frame", np.linalg.solve(tensor, w.T).T))
+        for what, values in variants:
+            yield Explanation(
+                f"the rates{of} are {what}", _with(problem.table, rates.columns, values), problem.reference
+            )
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+            if order == (0, 1, 2) and len(set(signs)) == 1:
+                continue
+            names = ", ".join(f"{'' if s > 0 else '-'}{rates.columns[k]}" for k, s in zip(order, signs, strict=True))
+            values = np.empty_like(w)
+            values[:, list(order)] = w * np.array(signs)
+            sentence = f"the axes of the rates{of} are exchanged: {', '.join(rates.columns)} hold {names}"
+            yield Explanation(sentence, _with(problem.table, rates.columns, values), problem.reference)
+
+
+def _quaternions(problem: Problem) -> Iterator[Explanation]:
+    """Yield conventions of quaternions: order, conjugation, and other axes of space or body."""
+    conjugate = np.array([1.0, -1.0, -1.0, -1.0])
+    inverse = "it is the rotation from space to the body"
+    for quantity in problem.quantities:
+        if quantity.kind != "attitude":
+            continue
+        suffix = quantity.name.removeprefix("attitude")
+        of = f" of body{suffix}" if suffix else ""
+        q = stacked(problem.table, quantity.columns)
+        first, last = np.roll(q, 1, axis=1), np.roll(q, -1, axis=1)
+        scalar_last = "has its scalar last: the columns hold x, y, z, w"
+        variants = [
+            (f"is conjugated: {inverse}", q * conjugate),
+            (scalar_last, first),
+            ("has its scalar in qx: the columns hold z, w, x, y", last),
+            (f"{scalar_last}; and it is conjugated: {inverse}", first * conjugate),
+        ]
+        for what, values in variants:
+            table = _with(problem.table, quantity.columns, values)
+            yield Explanation(f"the quaternion{of} {what}", table, problem.reference)
+        if len(q) < 4:
+            continue
+        mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
+        for what, convention in (("", mine), (f", and conjugated: {inverse}", mine.inv())):
+            space, body = certain[0] * convention[0].inv(), convention[0].inv() * certain[0]
+            for axes, constant, turned in (("space", space, space * convention), ("body", body, convention * body)):
+                table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
+                angle = math.degrees(float(constant.magnitude()))
+                sentence = f"the attitude{of} is relative to other axes of {axes}, turned by {angle:.6g} degrees{what}"
+                yield Explanation(sentence, table, problem.reference)
+
+
+def _tensors(problem: Problem) -> Iterator[Explanation]:
+    """Yield motions of free bodies with other tensors, or without the gyroscopic torque."""
+    body = problem.case.body
+    if body is None or not body.is_free or np.linalg.matrix_rank(body.inertia) < 3:
+        return
+    t, start = problem.reference["t"], Rotation.from_quat(np.roll(body.attitude, -1))
+    inertia, R = body.inertia, body.principal_axes
+    diagonal = np.diag(np.diag(inertia))
+    tensors: list[tuple[str, Any]] = []
+    if np.abs(inertia - diagonal).max() > 0.0:
+        tensors.append(("the products of inertia have the opposite sign", 2.0 * diagonal - inertia))
+        tensors.append(("the products of inertia are left out", diagonal))
+        if R is not None:
+            moments = np.diag(R.T @ inertia @ R)
+            tensors.append(
+                ("the tensor is transposed: its principal axes are turned the other way", R.T @ (moments[:, None] * R))
+            )
+            tensors.append(("the tensor is that of the principal axes, without their rotation", np.diag(moments)))
+    tensors.append(("the inverse of the tensor was taken for it", np.linalg.inv(inertia)))
+    for order in list(permutations(range(3)))[1:]:
+        named = ", ".join("xyz"[k] for k in order)
+        tensors.append((f"the moments are exchanged: x, y, z have those of {named}", inertia[np.ix_(order, order)]))
+    for sentence, tensor in tensors:
+        if not _is_tensor(tensor):
+            continue
+        columns = free_columns(tensor, body.rates, t)
+        yield Explanation(sentence, problem.table, {"t": t, **_started(columns, start)})
+    constant = np.tile(body.rates, (len(t), 1))
+    still = body_columns(constant, start * Rotation.from_rotvec(t[:, None] * body.rates))
+    yield Explanation(
+        "the gyroscopic torque w x I w is missing: the rates are constant", problem.table, {"t": t, **still}
+    )
+
+
+def _is_tensor(tensor: Floats) -> bool:
+    moments = np.linalg.eigvalsh(tensor)
+    return bool(moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-12))
+
+
+def _started(columns: Columns, start: Rotation) -> Columns:
+    """Return columns of a motion from the attitude of space, from another start."""
+    return body_columns(stacked(columns, ("wx", "wy", "wz")), start * rotations_of(columns))
+
+
+def _clocks(problem: Problem) -> Iterator[Explanation]:
+    """Yield offsets of the time and clocks of another rate, of all quantities, and of each alone."""
+    dense = _interpolated(problem.case, problem.quantities)
+    t = problem.table["t"]
+    widest = max(WIDEST_OFFSET * problem.case.end, 5.0 * float(np.median(np.diff(t))))
+    groups = [problem.quantities, *([quantity] for quantity in problem.quantities if len(problem.quantities) > 1)]
+    for group in groups:
+        names = "the samples are" if len(group) == len(problem.quantities) else f"those of the {group[0].name} are"
+        offset = dense.fit(problem, group, lambda value: t + value, lambda value: np.ones_like(t), widest)
+        if offset is not None:
+            value, trial = offset
+            steps = _in_steps(value, problem.step)
+            yield Explanation(f"{names} of other times: sample t is the motion at t {value:+.6g} s{steps}", *trial)
+        rate = dense.fit(problem, group, lambda value: (1.0 + value) * t, lambda value: t, WIDEST_RATE)
+        if rate is not None:
+            value, trial = rate
+            yield Explanation(f"{names} of a motion {1.0 + value:.9g} times as fast", *trial)
+
+
+def _in_steps(offset: float, step: float | None) -> str:
+    """Return an offset in steps, if it is a multiple of a half."""
+    if step is None:
+        return ""
+    halves = round(2.0 * abs(offset) / step)
+    is_multiple = halves > 0 and abs(2.0 * abs(offset) / step - halves) < 0.02
+    return f", {halves / 2:g} steps {'later' if offset > 0 else 'earlier'}" if is_multiple else ""
+
+
+class _Interpolated:
+    """Cubic splines of a reference, by which parameters of the time are searched before the reference is evaluated."""
+
+    def __init__(self, case: CheckCase, quantities: tuple[Quantity, ...]) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self.end = case.end
+        times = np.linspace(0.0, case.end, max(DENSE, 4 * len(case.times)))
+        columns = case.reference(times)
+        self.splines: dict[str, Any] = {}
+        for quantity in quantities:
+            values = stacked(columns, quantity.columns)
+            if quantity.kind == "attitude":
+                values = _continuous(values)
+            self.splines[quantity.name] = CubicSpline(times, values)
+
+    def fit(
+        self,
+        problem: Problem,
+        group: Any,
+        times: Callable[[float], Floats],
+        slope: Callable[[float], Floats],
+        widest: float,
+    ) -> tuple[float, tuple[Table, Table, Any]] | None:
+        """Return the parameter of the time with the least errors, and the reference there; None at the ends."""
+        sizes = {q.name: float(np.abs(self.splines[q.name].c[3]).max()) or 1.0 for q in group}
+        samples = {q.name: stacked(problem.table, q.columns) for q in group}
+
+        started = problem.table["t"] > 0.0  # the start is often written before the loop, at its own time
+
+        def residual(value: float) -> tuple[Floats, Floats]:
+            moved = times(value)
+            inside = (moved >= 0.0) & (moved <= self.end) & started
+            parts, slopes = [], []
+            for quantity in group:
+                spline, wanted = self.splines[quantity.name], samples[quantity.name]
+                there = spline(np.clip(moved, 0.0, self.end))
+                if quantity.kind == "attitude":
+                    sign = np.sign(np.sum(there * wanted, axis=1, keepdims=True))
+                    wanted = np.where(sign == 0.0, 1.0, sign) * wanted
+                size = sizes[quantity.name]
+                rate = spline(np.clip(moved, 0.0, self.end), 1) * slope(value)[:, None]
+                parts.append(((wanted - there) / size)[inside].ravel())
+                slopes.append((rate / size)[inside].ravel())
+            return np.concatenate(parts), np.concatenate(slopes)
+
+        grid = np.linspace(-widest, widest, GRID)
+        costs = []
+        for value in grid:
+            r, _ = residual(value)
+            costs.append(float(np.mean(r**2)) if r.size else math.inf)
+        k = int(np.argmin(costs))
+        value = float(grid[k])
+        for _ in range(30):
+            r, s = residual(value)
+            square = float(s @ s)
+            if not square:
+                return None
+            change = float(s @ r) / square
+            value += change
+            if abs(value) > widest:
+                return None
+            if abs(change) <= 1e-15 * widest:
+                break
+        moved = times(value)
+        rows = np.flatnonzero((moved >= 0.0) & (moved <= self.end) & started)
+        if len(rows) < max(2, len(moved) // 2) or value == 0.0:
+            return None
+        there = problem.case.reference(np.clip(moved, 0.0, self.end))
+        columns = {name for quantity in group for name in quantity.columns}
+        reference = {name: there[name] if name in columns else values for name, values in problem.reference.items()}
+        return value, (problem.table, reference, rows)
+
+
+@lru_cache(maxsize=2)
+def _interpolated(case: CheckCase, quantities: tuple[Quantity, ...]) -> _Interpolated:
+    return _Interpolated(case, quantities)
+
+
+def _continuous(q: Floats) -> Floats:
+    """Return quaternions whose signs change the least from one to the next."""
+    signs = np.sign(np.sum(q[1:] * q[:-1], axis=1))
+    return q * np.cumprod(np.concatenate([[1.0], np.where(signs == 0.0, 1.0, signs)]))[:, None]
+
+
+def _precession(problem: Problem) -> Iterator[Explanation]:
+    """Yield an attitude that turns about the angular momentum at another rate."""
+    body, names = problem.case.body, {quantity.name for quantity in problem.quantities}
+    if body is None or "attitude" not in names:
+        return
+    t, certain, mine = problem.reference["t"], rotations_of(problem.reference), rotations_of(problem.table)
+    momentum = certain.apply(stacked(problem.reference, ("wx", "wy", "wz")) @ body.inertia + body.rotors)
+    n = momentum.mean(axis=0)
+    if not np.linalg.norm(n) > 0.0:
+        return
+    n = n / np.linalg.norm(n)
+    q = (mine * certain.inv()).as_quat()
+    angle = np.unwrap(2.0 * np.arctan2(q[:, :3] @ n, q[:, 3]))
+    rate = float(angle @ t / (t @ t)) if t.any() else 0.0
+    if not rate:
+        return
+    turned = Rotation.from_rotvec(-rate * t[:, None] * n) * mine
+    own = float(np.linalg.norm(momentum.mean(axis=0)) / np.trace(body.inertia) * 3.0)
+    sentence = f"the attitude precesses about the angular momentum at another rate: {rate:+.3g} rad/s"
+    quaternion = np.roll(turned.as_quat(), 1, axis=1)
+    table = _with(problem.table, ("qw", "qx", "qy", "qz"), quaternion)
+    yield Explanation(f"{sentence}, {abs(rate) / own:.2g} of its own" if own else sentence, table, problem.reference)
+
+
+def _turning_frames(problem: Problem) -> Iterator[Explanation]:
+    """Yield attitudes relative to axes of space that turn at a constant rate."""
+    t = problem.reference["t"]
+    for quantity in problem.quantities:
+        if quantity.kind != "attitude" or not t.any():
+            continue
+        mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
+        angles = (mine * certain.inv()).as_rotvec()
+        rate = t @ angles / (t @ t)
+        turned = Rotation.from_rotvec(-t[:, None] * rate) * mine
+        table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
+        vector = ", ".join(f"{v:.3g}" for v in rate)
+        yield Explanation(
+            f"the {quantity.name} is relative to axes that turn by ({vector}) rad/s in space", table, problem.reference
+        )
+
+
+def _schemes(problem: Problem) -> Iterator[Explanation]:
+    """Yield the motions of common schemes of low order with the step of the simulator."""
+    if problem.step is None or problem.case.body is None:
+        return
+    t = problem.reference["t"]
+    for label, order, rows, columns in emulated_runs(problem.case.body, problem.step, t):
+        reference = {name: np.array(values) for name, values in problem.reference.items()}
+        for name, values in columns.items():
+            reference[name][rows] = values
+        sentence = f"the scheme is of order {order}: the samples agree with {label}, at steps of {problem.step:g} s"
+        yield Explanation(sentence, problem.table, reference, rows)
+
+
+def _scales(problem: Problem) -> Iterator[Explanation]:
+    """Yield constant factors of vectors."""
+    for quantity in problem.quantities:
+        if quantity.kind == "vector":
+            mine, certain = (stacked(each, quantity.columns) for each in (problem.table, problem.reference))
+            square = float(np.sum(mine * mine))
+            factor = float(np.sum(mine * certain)) / square if square else 0.0
+            if factor:
+                table = _with(problem.table, quantity.columns, factor * mine)
+                yield Explanation(
+                    f"the {quantity.name} are {1.0 / factor:.9g} times as large", table, problem.reference
+                )
+
+
+CANDIDATES: tuple[Callable[[Problem], Iterator[Explanation]], ...] = (
+    _rates,
+    _quaternions,
+    _tensors,
+    _schemes,
+    _precession,
+    _turning_frames,
+    _clocks,
+    _scales,
+)
+"""Kinds of mistakes, simpler ones first."""
+
+
+def steady_changes(
+    case: CheckCase, table: Table, reference: Table, quantities: tuple[Quantity, ...], tolerance: float
+) -> list[str]:
+    """Return which invariants grow or fall steadily, as sentences."""
+    findings = []
+    t, present = table["t"], {quantity.name for quantity in quantities}
+    for invariant in case.invariants:
+        if not present.issuperset(invariant.quantities):
+            continue
+        mine, certain = invariant.function(table), invariant.function(reference)
+        what = invariant.name
+        if mine.ndim > 1:
+            mine, certain = np.linalg.norm(mine, axis=1), np.linalg.norm(certain, axis=1)
+            what = f"length of the {invariant.name}"
+        size = float(np.abs(certain).max()) or 1.0
+        change = (mine - certain) / size
+        if np.abs(change).max() <= tolerance or len(t) < 4:
+            continue
+        slope, constant = np.polyfit(t, change, 1)
+        line = slope * t + constant
+        variance = float(np.var(change))
+        if (
+            variance
+            and 1.0 - float(np.var(change - line)) / variance > STEADY
+            and abs(change[0]) < 0.5 * np.abs(change).max()
+        ):
+            verb = "gained" if slope > 0.0 else "lost"
+            findings.append(
+                f"the {what} is {verb} steadily, by {abs(slope) * (t[-1] - t[0]):.3g} of its size over the samples"
+            )
+    return findings

@@ -1,0 +1,491 @@
+"""Comparison of samples with check-cases: errors, and the diagnosis of each mistake, by making it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from scipy.special import fresnel
+
+import coadjoint as co
+from refusals import refused
+
+RATES, QUATERNION = ("wx", "wy", "wz"), ("qw", "qx", "qy", "qz")
+
+
+def case_of(name="free_body_products", **parameters):
+    return co.checkcases.get(name, **parameters)
+
+
+def rates(table):
+    return np.column_stack([table[name] for name in RATES])
+
+
+def attitudes(table):
+    return Rotation.from_quat(np.column_stack([table[name] for name in ("qx", "qy", "qz", "qw")]))
+
+
+def table_of(t, w, turned):
+    q = np.roll(turned.as_quat(), 1, axis=1)
+    return {"t": np.asarray(t), **dict(zip(RATES, w.T, strict=True)), **dict(zip(QUATERNION, q.T, strict=True))}
+
+
+def simulated(case, tensor, w0=None, t=None, euler=lambda I, w: np.cross(I @ w, w)):
+    """Samples of a simulator with another tensor or another law, by DOP853."""
+    t = case.times if t is None else t
+
+    def field(t, y):
+        w, (a, *v) = y[:3], y[3:]
+        return np.concatenate([np.linalg.solve(tensor, euler(tensor, w)), [-(v @ w) / 2], (a * w + np.cross(v, w)) / 2])
+
+    start = np.concatenate([case.body.rates if w0 is None else w0, [1, 0, 0, 0]])
+    y = solve_ivp(field, (0, t[-1]), start, "DOP853", t_eval=t, rtol=1e-11, atol=1e-13).y.T
+    return table_of(t, y[:, :3], Rotation.from_quat(np.roll(y[:, 3:], -1, axis=1)))
+
+
+def exchanged(table, order):
+    return dict(zip(QUATERNION, [table[name] for name in order], strict=True))
+
+
+def conjugated(case, table):
+    return {name: -table[name] for name in QUATERNION[1:]}
+
+
+def scalar_last(case, table):
+    return exchanged(table, ("qx", "qy", "qz", "qw"))
+
+
+def conjugated_scalar_last(case, table):
+    return scalar_last(case, table | conjugated(case, table))
+
+
+def in_space(case, table):
+    return dict(zip(RATES, attitudes(table).apply(rates(table)).T, strict=True))
+
+
+def scaled(factor):
+    return lambda case, table: {name: factor * table[name] for name in RATES}
+
+
+def momenta(case, table):
+    return dict(zip(RATES, (rates(table) @ case.body.inertia).T, strict=True))
+
+
+def axes_exchanged(case, table):
+    return {"wy": table["wz"], "wz": -table["wy"]}
+
+
+def products(case, table):
+    I = case.body.inertia
+    return simulated(case, 2 * np.diag(np.diag(I)) - I)
+
+
+def without_products(case, table):
+    return simulated(case, np.diag(np.diag(case.body.inertia)))
+
+
+def transposed(case, table):
+    moments, R = case.parameters["moments"][0], case.body.principal_axes
+    return simulated(case, R.T @ np.diag(moments) @ R)
+
+
+def moments_exchanged(case, table):
+    return simulated(case, case.body.inertia[np.ix_([1, 0, 2], [1, 0, 2])])
+
+
+def not_gyroscopic(case, table):
+    return simulated(case, case.body.inertia, euler=lambda I, w: 0 * w)
+
+
+def offset(case, table):
+    t = table["t"][:-5]
+    return {name: values[: len(t)] for name, values in (case.reference(t + 0.0137) | {"t": t}).items()}
+
+
+def only_rates_offset(case, table):
+    return {name: offset(case, table)[name] for name in RATES} | {name: table[name][:-5] for name in ("t", *QUATERNION)}
+
+
+def slow_clock(case, table):
+    return case.reference(0.9998 * table["t"]) | {"t": table["t"]}
+
+
+def precessing(case, table):
+    L = attitudes(table).apply(rates(table) @ case.body.inertia)[0]
+    spun = Rotation.from_rotvec(0.002 * table["t"][:, None] * L / np.linalg.norm(L))
+    return table_of(table["t"], rates(table), spun * attitudes(table))
+
+
+def turning_frame(case, table):
+    spun = Rotation.from_rotvec(-7.292e-5 * table["t"][:, None] * [0, 0, 1])
+    return table_of(table["t"], rates(table), spun * attitudes(table))
+
+
+def other_axes(case, table):
+    return table_of(table["t"], rates(table), Rotation.from_euler("x", 180, degrees=True) * attitudes(table))
+
+
+MISTAKES = {
+    conjugated: "quaternion is conjugated",
+    scalar_last: "scalar last",
+    conjugated_scalar_last: "scalar last: the columns hold x, y, z, w; and it is conjugated",
+    in_space: "axes of space",
+    scaled(180 / math.pi): "degrees per second",
+    scaled(30 / math.pi): "revolutions per minute",
+    scaled(-1): "opposite sign",
+    scaled(1.01): "1.01 times as large",
+    momenta: "angular momenta",
+    axes_exchanged: "wx, wy, wz hold wx, wz, -wy",
+    products: "products of inertia have the opposite sign",
+    without_products: "products of inertia are left out",
+    transposed: "tensor is transposed",
+    moments_exchanged: "moments are exchanged",
+    not_gyroscopic: "gyroscopic torque w x I w is missing",
+    offset: "sample t is the motion at t +0.0137 s",
+    only_rates_offset: "those of the rates are of other times: sample t is the motion at t +0.0137 s",
+    slow_clock: "0.9998 times as fast",
+    precessing: "precesses about the angular momentum at another rate: +0.002 rad/s",
+    turning_frame: "axes that turn by (",
+    other_axes: "other axes of space, turned by 180 degrees",
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda each: f"{each.__name__}-{MISTAKES[each][:9]}")
+def test_each_mistake_is_found_and_nothing_else(mistake):
+    case = case_of()
+    mine = case.reference()
+    found = case.compare(mine | mistake(case, mine))
+    assert not found.passed
+    steady = [sentence for sentence in found.diagnosis if "steadily" in sentence]
+    likely = [sentence for sentence in found.diagnosis if sentence not in steady]
+    assert len(likely) == 1 and MISTAKES[mistake] in likely[0], found.diagnosis
+
+
+def test_two_mistakes_are_found():
+    case = case_of("free_body")
+    mine = case.reference()
+    found = case.compare(mine | conjugated(case, mine) | scaled(180 / math.pi)(case, mine))
+    assert {MISTAKES[conjugated] in text or "degrees per second" in text for text in found.diagnosis} == {True}
+    assert len(found.diagnosis) == 2
+
+
+def test_an_unknown_difference_is_no_known_mistake():
+    """Rates of an unrelated motion, small ones too, are not degrees, nor another order of the axes."""
+    case = case_of("free_body")
+    mine = case.reference()
+    other = case_of("free_body", rates=(0.9, -0.3, 1.1), inertia=(1.0, 1.7, 2.2)).reference()
+    for factor in (1.0, 1e-3, 50.0):
+        found = case.compare(mine | {name: factor * other[name] for name in RATES})
+        assert not found.passed
+        assert not any("degrees" in text or "exchanged" in text for text in found.diagnosis), found.diagnosis
+
+
+def stepped(case, h, scheme):
+    """Samples of a plain loop over steps, for a free body."""
+    I = case.body.inertia
+    inverse = np.linalg.inv(I)
+
+    def rate(w):
+        return inverse @ np.cross(I @ w, w)
+
+    def field(y):
+        w, a, v = y[:3], y[3], y[4:]
+        return np.concatenate([rate(w), [-(v @ w) / 2], (a * w + np.cross(v, w)) / 2])
+
+    y, rows = np.concatenate([case.body.rates, [1, 0, 0, 0]]), []
+    for _ in range(round(case.end / h) + 1):
+        rows.append(y)
+        if scheme == "euler":
+            y = y + h * field(y)
+        elif scheme == "semi-implicit":
+            w = y[:3] + h * rate(y[:3])
+            turned = Rotation.from_quat(np.roll(y[3:], -1)) * Rotation.from_rotvec(h * w)
+            y = np.concatenate([w, np.roll(turned.as_quat(), 1)])
+        elif scheme == "linearly implicit":
+            # The derivative of (I w) x w is that of v -> (I v) x w + (I w) x v.
+            J = inverse @ np.column_stack([np.cross(I @ e, y[:3]) + np.cross(I @ y[:3], e) for e in np.eye(3)])
+            w = y[:3] + h * np.linalg.solve(np.eye(3) - h * J, rate(y[:3]))
+            turned = Rotation.from_quat(np.roll(y[3:], -1)) * Rotation.from_rotvec(h * w)
+            y = np.concatenate([w, np.roll(turned.as_quat(), 1)])
+        elif scheme == "rk4":
+            a = field(y)
+            b = field(y + h / 2 * a)
+            c = field(y + h / 2 * b)
+            y = y + h / 6 * (a + 2 * b + 2 * c + field(y + h * c))
+        elif scheme == "heun":
+            a = field(y)
+            y = y + h / 2 * (a + field(y + h * a))
+        y = np.concatenate([y[:3], y[3:] / np.linalg.norm(y[3:])])
+    rows = np.array(rows)
+    t = h * np.arange(len(rows))
+    return table_of(t, rows[:, :3], Rotation.from_quat(np.roll(rows[:, 3:], -1, axis=1)))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order", "words"),
+    [
+        ("euler", 1, "explicit Euler steps of rates"),
+        ("semi-implicit", 1, "semi-implicit Euler steps, rotations"),
+        ("linearly implicit", 1, "linearly implicit Euler"),
+        ("heun", 2, "Heun"),
+        ("rk4", 4, "classical Runge-Kutta"),
+    ],
+)
+def test_schemes_of_low_order_are_found_by_their_step(scheme, order, words):
+    case = case_of("free_body", end=4.0)
+    h = 0.02
+    mine = stepped(case, h, scheme)
+    found = case.compare(mine, step=h, tolerance=1e-8)
+    assert f"of order {order}" in found.diagnosis[0] and words in found.diagnosis[0], found.diagnosis
+    assert not any("scheme" in text for text in case.compare(mine, tolerance=1e-8).diagnosis)
+    if scheme == "euler":
+        assert any("energy is gained steadily" in text for text in found.diagnosis)
+
+
+def test_samples_of_a_heavy_top_by_a_scheme_of_low_order():
+    """The emulation has the torque of the case, here of gravity; half of a step is named."""
+    case = case_of("lagrange_top", end=0.3)
+    mine = case.reference(case.times[:-1] + 0.0005) | {"t": case.times[:-1]}
+    found = case.compare(mine, step=0.001)
+    assert any("+0.0005 s, 0.5 steps later" in text for text in found.diagnosis), found.diagnosis
+
+
+def test_published_simulators_of_the_brick():
+    """Two agree with the closed form, and the sixth is half a millisecond ahead in its rates."""
+    case = case_of("brick")
+    found = {name[-2:]: case.compare(samples) for name, samples in case.published.items()}
+    assert {name: each.passed for name, each in found.items()} == {
+        "01": True, "02": False, "04": True, "05": False, "06": False
+    }  # fmt: skip
+    assert any("rates are of other times" in text and "+0.0005" in text for text in found["06"].diagnosis) or any(
+        "+0.00049999" in text for text in found["06"].diagnosis
+    )
+    largest = {name: np.degrees(each.errors[1].largest) for name, each in found.items()}
+    assert largest["01"] < 1e-8 and largest["04"] < 1e-8 and 3 < largest["02"] < 4 and largest["05"] < 2e-4
+
+
+@pytest.mark.parametrize(
+    "name", ["spin_chain", "rossby_haurwitz", "damped_spin", pytest.param("two_asteroids", marks=pytest.mark.long)]
+)
+def test_cases_of_other_kinds_find_offsets_and_signs(name):
+    case = case_of(name)
+    times = case.times[1:-12:2]
+    shift = 0.37 * (case.times[1] - case.times[0])
+    found = case.compare(case.reference(times + shift) | {"t": times})
+    assert not found.passed and any("the motion at t +" in text for text in found.diagnosis), found.diagnosis
+    assert case.compare(case.reference(times)).passed
+
+
+@pytest.mark.parametrize(
+    ("mistake", "kept"), [(conjugated, QUATERNION), (scalar_last, QUATERNION), (in_space, RATES), (offset, RATES)]
+)
+def test_parts_of_a_motion_are_enough(mistake, kept):
+    """Attitudes alone or rates alone, at times that begin after the start and are not evenly spaced."""
+    case = case_of()
+    times = np.sort(np.random.default_rng(5).uniform(3.0, 15.0, 60))
+    mine = case.reference(times)
+    found = case.compare({name: (mine | mistake(case, mine))[name] for name in ("t", *kept)})
+    assert [each.name for each in found.errors if each.unit in ("rad", "rad/s")] == [
+        "attitude" if kept is QUATERNION else "rates"
+    ]
+    assert (
+        not found.passed
+        and MISTAKES[mistake] in found.diagnosis[0]
+        and any("not compared" in note for note in found.notes)
+    )
+
+
+def test_errors_have_the_sizes_that_were_made():
+    case = case_of("free_body")
+    mine = case.reference()
+    turned = Rotation.from_rotvec([0, 0, 1e-3])
+    moved = table_of(mine["t"], rates(mine) + [1e-4, 0, 0], turned * attitudes(mine))
+    found = {each.name: each for each in case.compare(moved).errors}
+    largest = np.linalg.norm(rates(mine), axis=1).max()
+    assert np.allclose(found["attitude"].absolute, 1e-3, rtol=1e-9)
+    assert np.allclose(found["rates"].absolute, 1e-4, rtol=1e-9) and found["rates"].unit == "rad/s"
+    assert np.isclose(found["rates"].largest, 1e-4 / largest)
+    energy = 0.5 * np.einsum("ki,ij,kj->k", rates(moved), case.body.inertia, rates(moved))
+    certain = 0.5 * np.einsum("ki,ij,kj->k", rates(mine), case.body.inertia, rates(mine))
+    assert np.allclose(found["energy"].absolute, abs(energy - certain), atol=1e-14)
+
+
+def test_tolerance_is_a_bound_on_both_sides():
+    case = case_of("free_body")
+    mine = case.reference()
+    moved = mine | {"wx": mine["wx"] + 1e-5}
+    largest = max(each.largest for each in case.compare(moved, tolerance=1.0).errors)
+    assert 1e-6 < largest < 1e-3
+    assert case.compare(moved, tolerance=1.001 * largest).passed
+    assert not case.compare(moved, tolerance=0.999 * largest).passed
+
+
+@pytest.mark.parametrize("size", [1e-7, 1e30])
+def test_units_have_no_effect(size):
+    """Inertias of other sizes give the same errors and the same diagnosis."""
+    case = case_of("free_body", inertia=(size, 2 * size, 2.5 * size))
+    mine = case.reference()
+    found = case.compare(mine | in_space(case, mine))
+    assert found.diagnosis == ("the rates are along the axes of space, not of the body",)
+    assert case.compare(mine).passed and case.accuracy == case_of("free_body").accuracy
+
+
+def test_speed_scales_the_time():
+    slow, fast = case_of("free_body"), case_of("free_body", rates=(1e3, 2e3, 5e2), end=0.02)
+    a, b = slow.reference([3.0, 7.0, 20.0]), fast.reference([0.003, 0.007, 0.02])
+    assert np.allclose(rates(b), 1e3 * rates(a), rtol=1e-10)
+    assert (attitudes(a).inv() * attitudes(b)).magnitude().max() < 1e-10
+
+
+def test_period_of_the_flip():
+    case = case_of("middle_axis_flip")
+    ((period, unit),) = case.results.values()
+    assert unit == "s"
+    x = case.reference([0.4, 0.4 + period])
+    assert np.allclose(rates(x)[0], rates(x)[1], atol=1e-8)
+    half = case.reference([0.4, 0.4 + period / 2])
+    assert np.isclose(half["wy"][0], -half["wy"][1])
+    with refused(ValueError, "separatrix"):
+        case_of("middle_axis_flip", rates=(0.0, 5.0, 0.0))
+
+
+def test_spin_up_by_fresnel_integrals():
+    """Across the axis of a symmetric body, W' = i n W + torque/transverse with W = wx + i wy and n linear in time."""
+    case = case_of("spin_up")
+    across, along, torque, w = (np.asarray(case.parameters[k][0]) for k in ("transverse", "axial", "torque", "rates"))
+    x = case.reference()
+    spin, rate = w[2], torque[2] / along
+    assert np.allclose(x["wz"], spin + rate * x["t"], atol=1e-11)
+    # The phase is a (t + b)^2 + constant, and the integral of exp(-i a s^2) is that of Fresnel.
+    a, b = 0.5 * (along - across) / across * rate, spin / rate
+
+    def integral(s):
+        sine, cosine = fresnel(s * math.sqrt(2 * abs(a) / math.pi))
+        return math.sqrt(math.pi / (2 * abs(a))) * (cosine - 1j * math.copysign(1.0, a) * sine)
+
+    s = x["t"] + b
+    across_axis = (w[0] + 1j * w[1]) * np.exp(-1j * a * b**2)
+    across_axis = across_axis + (torque[0] + 1j * torque[1]) / across * (integral(s) - integral(b))
+    across_axis = across_axis * np.exp(1j * a * s**2)
+    assert np.allclose(x["wx"] + 1j * x["wy"], across_axis, atol=1e-10)
+
+
+def test_results_of_other_cases():
+    case = case_of("pitch_libration")
+    ((period, _),) = case.results.values()
+    n = case.parameters["mean_motion"][0]
+    x = case.reference([100.0, 100.0 + period])
+    pitch = 2 * np.arctan2(x["qz"], x["qw"]) - n * x["t"]
+    assert np.isclose(np.sin(pitch[0]), np.sin(pitch[1]), atol=1e-9) and np.isclose(x["wz"][0], x["wz"][1], rtol=1e-9)
+    coning = case_of("coning")
+    precession, nutation, angle = (value for value, _ in coning.results.values())
+    t = 2 * math.pi / nutation
+    y = coning.reference([0.0, abs(t)])
+    assert np.allclose(rates(y)[0], rates(y)[1], atol=1e-12)
+    L = coning.body.inertia @ coning.body.rates
+    assert np.isclose(precession, np.linalg.norm(L) / 2) and np.isclose(math.cos(angle), L[2] / np.linalg.norm(L))
+
+
+COMPILED = {"eccentric_libration", "water_dimer"}  # by Numba, in some seconds
+NAMES = [pytest.param(name, marks=[pytest.mark.long] if name in COMPILED else []) for name in co.checkcases.names()]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_statements_name_every_parameter_and_column(name):
+    case = case_of(name)
+    text = str(case)
+    assert all(f"{key} = " in text for key in case.parameters) and all(column in text for column in case.columns)
+    assert case.columns[0] == "t" and case.times[0] == 0.0 and case.source and case.basis
+    assert set(case.reference([0.0, case.end])) == set(case.columns)
+
+
+REFUSALS = [
+    ({"t": [0.0, 1.0]}, "wx=NAME"),
+    ({"wx": [0.0, 1.0], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "t=NAME"),
+    ({"t": [0.0, 1.0], "wx": [0.0, 1.0], "wy": [0.0, 1.0]}, "wz"),
+    ({"t": [0.0, 0.0], "wx": [0.0, 1.0], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "increasing"),
+    ({"t": [0.0], "wx": [0.0], "wy": [0.0], "wz": [0.0]}, "two or more"),
+    ({"t": [0.0, 1e3], "wx": [0.0, 1.0], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "1000"),
+    ({"t": [-1.0, 1.0], "wx": [0.0, 1.0], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "-1"),
+    ({"t": [0.0, 1.0], "wx": [0.0, math.nan], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "sample 2"),
+    ({"t": [0.0, 1.0], "wx": [0.0, 1.0, 2.0], "wy": [0.0, 1.0], "wz": [0.0, 1.0]}, "lengths"),
+    ({"t": [0.0, 1.0], "qw": [1.0, 0.0], "qx": [0.0, 0.0], "qy": [0.0, 0.0], "qz": [0.0, 0.0]}, "no rotation"),
+    ({"t": [0.0, 1.0], "q1": [1.0, 0.0], "q2": [0.0, 0.0], "q3": [0.0, 0.0], "q4": [0.0, 0.0]}, "wx=NAME"),
+]
+
+
+@pytest.mark.parametrize(("samples", "words"), REFUSALS, ids=[words for _, words in REFUSALS])
+def test_samples_that_cannot_be_compared_are_refused(samples, words):
+    with refused(ValueError, words):
+        case_of("free_body").compare(samples)
+
+
+def test_arguments_that_cannot_be_used_are_refused():
+    case = case_of("free_body")
+    mine = case.reference()
+    with refused(ValueError, "known to 1e-12"):
+        case.compare(mine, tolerance=1e-14)
+    with refused(ValueError, "step"):
+        case.compare(mine, step=-1.0)
+    with refused(ValueError, "wa"):
+        case.compare(mine, columns="wa=wx")
+    with refused(ValueError, "once"):
+        case.compare(mine, columns="wx=wx,wx=wy")
+    with refused(ValueError, "once"):
+        case.compare(mine, columns={"wx": "wx", "wy": "wx"})
+    with refused(ValueError, "nothere"):
+        case.compare(mine, columns={"wx": "nothere"})
+    with refused(ValueError, "furlong"):
+        case.compare({**mine, "p [furlong]": mine["wx"]}, columns="wx=p [furlong]")
+    with refused(ValueError, "shape"):
+        case.reference(1.0)
+    with refused(ValueError, "20"):
+        case.reference([21.0])
+    with refused(TypeError, "samples"):
+        case.compare(3)
+    with refused(ValueError, "free_body"):
+        co.checkcases.get("fre_body")
+    with refused(TypeError, "speed"):
+        co.checkcases.get("free_body", speed=3)
+    with refused(ValueError, "inertia"):
+        co.checkcases.get("free_body", inertia=(1, 2))
+    with refused(ValueError, "samples"):
+        co.checkcases.get("free_body", samples=1)
+    with refused(ValueError, "pitch"):
+        co.checkcases.get("pitch_libration", pitch=2.0)
+    with refused(ValueError, "eccentricity"):
+        co.checkcases.get("eccentric_libration", eccentricity=0.7)
+
+
+def test_names_of_others_are_understood_with_their_units():
+    case = case_of("free_body")
+    mine = case.reference()
+    degrees = {"p_deg_s": np.degrees(mine["wx"]), "q_deg_s": np.degrees(mine["wy"]), "r_deg_s": np.degrees(mine["wz"])}
+    found = case.compare({"Time (s)": mine["t"], **degrees})
+    assert found.passed and any("converted from deg/s" in note for note in found.notes)
+    assert any("not compared" in note and "qw" in note for note in found.notes)
+    quaternion = {f"q{k}": mine[name] for k, name in enumerate(QUATERNION)}
+    assert case.compare({"time": mine["t"], **quaternion}).passed
+    ms = {"t": 1e3 * mine["t"], **{name: mine[name] for name in RATES}}
+    assert case.compare(ms, columns="t=t[ms]").passed
+    two = {**mine, "p": mine["wx"], "q": mine["wy"], "r": mine["wz"]}
+    assert case.compare(two).passed  # the exact names come first
+    several = {f"omega_{a}": mine[f"w{a}"] for a in "xyz"} | {"p": mine["wx"], "q": mine["wy"], "r": mine["wz"]}
+    with refused(ValueError, "could be", "omega_x", "p q r"):
+        case.compare({"t": mine["t"], **several})
+
+
+def test_quaternions_of_other_norms_are_normalized_and_noted():
+    case = case_of("free_body")
+    mine = case.reference()
+    found = case.compare(mine | {name: 1.5 * mine[name] for name in QUATERNION})
+    assert found.passed and any("normalized" in note and "0.5" in note for note in found.notes)
+
+
+def test_figure_and_columns_of_a_comparison():
+    case = case_of("free_body")
+    found = case.compare(case.reference())
+    assert {line.get_label() for line in found.plot().axes[0].get_lines()} >= {"attitude [rad]", "rates, relative"}
+    assert set(found.columns()) == {"t", *(each.name for each in found.errors)}
+    assert "within" in str(found) and "largest" in str(found)
