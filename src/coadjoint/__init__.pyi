@@ -5,6 +5,7 @@ from . import analysis as analysis
 from . import bodies as bodies
 from . import jax as jax
 from . import methods as methods
+from . import orbits as orbits
 from . import plotting as plotting
 from . import results as results
 from . import spectra as spectra
