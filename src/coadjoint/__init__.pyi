@@ -2,6 +2,7 @@
 
 from . import algebras as algebras
 from . import analysis as analysis
+from . import attitudes as attitudes
 from . import bodies as bodies
 from . import jax as jax
 from . import methods as methods

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from coadjoint.errors import refuse_others
+from coadjoint.files.orbits.oem import read_oem
 from coadjoint.systems.orbits.epochs import Epoch
 from coadjoint.systems.orbits.kepler import circular, kepler
 from coadjoint.systems.orbits.magnetic_field import igrf, tilted_dipole
@@ -21,6 +22,7 @@ __all__ = [
     "from_tle",
     "igrf",
     "kepler",
+    "read_oem",
     "tilted_dipole",
 ]
 

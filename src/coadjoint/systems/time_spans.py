@@ -17,6 +17,7 @@ Span = tuple[float, float]
 ALWAYS: Span = (-inf, inf)
 SLACK = 64 * UNIT_ROUNDOFF
 """Rounding of times at the ends of a span, relative to the larger one."""
+OUTSIDE = "the time is outside of the span in which the orbit is known"
 MAX_FUNCTIONS = 1000  # that are followed; those of a force are about ten
 
 
@@ -29,6 +30,18 @@ def known_in(function: Callable[..., Any], span: Span) -> Any:
 def slack_of(span: Span) -> float:
     """Return the rounding of times in a span."""
     return SLACK * max(abs(span[0]), abs(span[1]))
+
+
+def limited(function: Callable[..., Any], span: Span) -> Any:
+    """Return a function of the time that raises a ValueError outside of a span."""
+    (first, last), slack = span, slack_of(span)
+
+    def within(t: Any) -> Any:
+        if not (first - slack <= t <= last + slack):
+            raise ValueError(OUTSIDE)
+        return function(t)
+
+    return known_in(within, span)
 
 
 @lru_cache(maxsize=1024)

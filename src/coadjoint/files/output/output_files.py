@@ -41,6 +41,7 @@ MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
 HEADERS = (".h", ".hpp")
+LOGS = (".csv", ".tum", ".aem", ".tsc")
 GIF_WHITE_THRESHOLD = 248
 """In a GIF, shades from here on become white."""
 MAX_GIF_FPS = 50
@@ -54,7 +55,8 @@ REQUIRED_PACKAGES = {
     ".gif": ("matplotlib", "PIL"),
     ".json": (),
     ".html": (),
-    **dict.fromkeys(HEADERS, ()),
+    **dict.fromkeys((*HEADERS, *LOGS), ()),
+    ".bc": ("spiceypy",),
 }
 FORMAT_NAMES = {
     ".nc": "NetCDF",
@@ -62,6 +64,8 @@ FORMAT_NAMES = {
     ".json": "JSON",
     ".html": "a page",
     **dict.fromkeys(HEADERS, "a header"),
+    **dict.fromkeys(LOGS, "a log of attitudes"),
+    ".bc": "a C-kernel of SPICE",
     **dict.fromkeys(FIGURES, "a figure"),
     **dict.fromkeys(MOVIES, "a movie"),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.body_torque import cross
 from coadjoint.systems.orbits.epochs import DAY, EARTH_FIXED, Epoch, is_of_date
-from coadjoint.systems.time_spans import ALWAYS, Span
+from coadjoint.systems.time_spans import ALWAYS, Span, limited
 from coadjoint.validation import read_bool, read_finite, read_nonnegative, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
@@ -130,6 +130,40 @@ class Orbit:
         known = "" if self.t_span == ALWAYS else f" from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
         frame = f" in {self.frame}" if self.frame else ""
         return f"<orbit{frame}{known}{f', t = 0 at {self.epoch}' if self.epoch else ''}>"
+
+    def within(self, t_span: Any) -> Orbit:
+        """Return the orbit with a shorter span, outside of which it is refused.
+
+        Parameters
+        ----------
+        t_span : (float, float)
+            Start and end, within the span of the orbit.
+
+        Returns
+        -------
+        Orbit
+
+        Raises
+        ------
+        ValueError
+            A span that does not lie within that of the orbit.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.orbits.circular(7.0e6).within((0, 100))
+        <orbit from t = 0 to 100>
+        """
+        span = read_finite(t_span, "t_span")
+        first, last = self.t_span
+        if span.shape != (2,) or not first <= span[0] < span[1] <= last:
+            raise ValueError(f"t_span is {short(t_span)}; give the start and the end, within {first:g} and {last:g}")
+        ends = float(span[0]), float(span[1])
+        if ends == self.t_span:
+            return self
+        acceleration = None if self.acceleration is None else limited(self.acceleration, ends)
+        position, velocity = limited(self.position, ends), limited(self.velocity, ends)
+        return replace(self, position=position, velocity=velocity, acceleration=acceleration, t_span=ends)
 
     def at(self, t: npt.ArrayLike) -> OrbitStates:
         """Return positions and velocities at times.

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.time_spans import Span, known_in, slack_of
+from coadjoint.systems.time_spans import OUTSIDE, Span, known_in, slack_of
 
 Floats = NDArray[np.float64]
 OfTime = Callable[..., Any]
 
 DEGREES = 3, 7, 11
-OUTSIDE = "the time is outside of the span of the samples"
 
 
 class Spline(NamedTuple):
