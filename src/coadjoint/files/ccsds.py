@@ -185,4 +185,6 @@ def ascending(times: Floats, where: Callable[[int], str]) -> None:
     """Raise ValueError unless times ascend; `where` names the place of one."""
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if len(wrong):
-        raise ValueError(f"{where(int(wrong[0]) + 1)}: the time is not after that of the line before; times must ascend")
+        raise ValueError(
+            f"{where(int(wrong[0]) + 1)}: the time is not after that of the line before; times must ascend"
+        )

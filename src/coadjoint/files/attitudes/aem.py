@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,7 @@ def aem_text(log: AttitudeLog, object_name: str, object_id: str, originator: str
     numbers = log.rotation.as_quat()
     if omega is not None:
         numbers = np.concatenate([numbers, omega / DEGREE], axis=1)
-    now = datetime.now(timezone.utc).replace(tzinfo=None, microsecond=0)
+    now = datetime.now(UTC).replace(tzinfo=None, microsecond=0)
     metadata = {
         "OBJECT_NAME": object_name,
         "OBJECT_ID": object_id,

@@ -31,7 +31,9 @@ def ephemeris_time(epoch: Epoch) -> float:
 def clock_of(instrument: Any) -> int:
     """Return the number of the clock of an instrument, without its sign; ValueError for what is none."""
     if not is_integer(instrument) or not -(2**31) < instrument <= -CLOCKS:
-        raise ValueError(f"instrument is {short(instrument)}; give a NAIF number, such as -999000 of the spacecraft -999")
+        raise ValueError(
+            f"instrument is {short(instrument)}; give a NAIF number, such as -999000 of the spacecraft -999"
+        )
     return -int(instrument) // CLOCKS
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from coadjoint.files.attitudes.aem import aem_text, log_of_aem
 from coadjoint.files.attitudes.attitude_log import AttitudeLog

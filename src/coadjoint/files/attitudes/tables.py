@@ -71,16 +71,18 @@ def log_of_table(
         if known is None:
             raise ValueError(f"{file} has no columns {', '.join(RATES[0])} of rates; leave rates= out")
         where = [names.index(one) for one in known]
-        omega = factor * np.array([numbers_of([row[k] for k in where], p) for row, p in zip(cells, places, strict=True)])
+        omega = factor * np.array(
+            [numbers_of([row[k] for k in where], p) for row, p in zip(cells, places, strict=True)]
+        )
     return AttitudeLog(t, turned(rotations_of(numbers, lambda k: places[k]), direction), omega, epoch=epoch)
 
 
-def log_of_tum(
-    file: Path, lines: Sequence[TextLine], attitude: Any, direction: Any, time_unit: Any
-) -> AttitudeLog:
+def log_of_tum(file: Path, lines: Sequence[TextLine], attitude: Any, direction: Any, time_unit: Any) -> AttitudeLog:
     """Return the attitudes in a trajectory of the format TUM, whose quaternions are x, y, z, w."""
     if attitude not in (None, "xyzw"):
-        raise ValueError(f"attitude is {short(attitude)}, and the format TUM has xyzw; leave it out, or give format='csv'")
+        raise ValueError(
+            f"attitude is {short(attitude)}, and the format TUM has xyzw; leave it out, or give format='csv'"
+        )
     rows = [line for line in lines if not line.text.startswith("#")]
     places = [f"{file}, line {line.number}" for line in rows]
     numbers = [numbers_of(line.text.split(), place) for line, place in zip(rows, places, strict=True)]

@@ -315,7 +315,9 @@ class Sampled(Force):
         size, first = self._memory_size, self._first_remembered(system)
         rule = f"give the torque, (3,), and the new memory, ({size},)"
         try:
-            torque, memory = self.law.values_with_memory(system, x, sample_time_of(self), x[first : first + size].copy())
+            torque, memory = self.law.values_with_memory(
+                system, x, sample_time_of(self), x[first : first + size].copy()
+            )
         except Exception as reason:  # functions of users raise anything
             failure = f"{type(reason).__name__}: {in_one_line(str(reason), 200)}"
             raise ValueError(f"the law of {self.label} fails at a sample point ({failure}); {rule}") from None

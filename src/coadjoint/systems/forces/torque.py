@@ -506,7 +506,9 @@ def _value_at_sample(torque: Callable[..., Any], arguments: str, system: Any) ->
     for sample in sample_states(system):
         try:
             with np.errstate(all="ignore"):
-                return torque(*_call_arguments(arguments, sample_state(sample, system), sample_time_of(torque), system)), None
+                return torque(
+                    *_call_arguments(arguments, sample_state(sample, system), sample_time_of(torque), system)
+                ), None
         except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
             failure = in_one_line(str(reason), 200)
     return None, failure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -44,8 +44,10 @@ class Epoch(NamedTuple):
         date = value if isinstance(value, datetime) else _date_of(value, what)
         if date.tzinfo is not None:
             if name != "UTC":
-                raise ValueError(f"{what} is {short(str(value))}, in UTC, and time_system is {name!r}; give one of them")
-            date = date.astimezone(timezone.utc).replace(tzinfo=None)
+                raise ValueError(
+                    f"{what} is {short(str(value))}, in UTC, and time_system is {name!r}; give one of them"
+                )
+            date = date.astimezone(UTC).replace(tzinfo=None)
         return cls(date, name)
 
     def __str__(self) -> str:
@@ -103,7 +105,7 @@ def _date_of(value: Any, what: str) -> datetime:
         date += timedelta(seconds=float(f"0.{fraction or 0}"))
     except ValueError:
         raise ValueError(f"{what} is {short(value)}, which is no date; {advice}") from None
-    return date.replace(tzinfo=timezone.utc) if clock.endswith("Z") and date.tzinfo is None else date
+    return date.replace(tzinfo=UTC) if clock.endswith("Z") and date.tzinfo is None else date
 
 
 def sidereal_angle(epoch: Epoch) -> tuple[float, float]:
@@ -136,8 +138,8 @@ def rotation(axis: int, angle: float) -> Floats:
 
 OF_DATE = "TEME", "MOD", "TOD"
 OF_J2000 = "J2000", "EME2000", "GCRF", "ICRF"
-EARTH_FIXED = "ITRF", "ECEF", "GRC", "TDR"
-"""Names of frames: mean or true equator of date, that of J2000 (or within 0.1 arcseconds of it), and those that turn."""
+EARTH_FIXED = "ITRF", "ITRS", "ECEF", "WGS", "GRC", "TDR"
+"""Names of frames: of the equator of date, of that of J2000 or within 0.1 arcseconds of it, and those that turn."""
 
 
 def is_of_date(frame: str, what: str) -> bool:

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.body_torque import cross
+from coadjoint.systems.forces.body_torque import cross, read_prescribed
 from coadjoint.systems.orbits.epochs import DAY, EARTH_FIXED, Epoch, is_of_date
-from coadjoint.systems.time_spans import ALWAYS, Span, limited
-from coadjoint.validation import read_bool, read_finite, read_nonnegative, read_positive, set_fields
+from coadjoint.systems.time_spans import ALWAYS, Span, limited, time_span_of
+from coadjoint.validation import read_bool, read_finite, read_nonnegative, read_numbers, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
 OfTime = Callable[..., Any]
@@ -86,7 +86,8 @@ class OrbitStates(NamedTuple):
 class Orbit:
     """An orbit: functions of the time, in seconds or the unit of the planet, that forces on satellites take.
 
-    `circular`, `kepler`, `from_tle`, `from_samples` and `read_oem` make it. All functions are compiled by Numba where a
+    `circular`, `kepler`, `from_tle`, `from_samples` and `read_oem` make it; ``Orbit(position, velocity)`` is one of
+    functions of your own. All functions are compiled by Numba where a
     force calls them, and other orbits of the same kind are run by the same machine code. Vectors have components along
     the axes of `frame`.
 
@@ -103,6 +104,8 @@ class Orbit:
         Date at t = 0.
     planet : Planet or None
         The body in the centre.
+    acceleration : callable or None
+        The derivative of the velocity; None if the acceleration is in the plane of position and velocity.
     sampling_error : float
         Of sampled orbits, an estimate of the largest error of the position between samples; 0 for formulas.
 
@@ -125,6 +128,29 @@ class Orbit:
     epoch: Epoch | None = None
     planet: Planet | None = None
     sampling_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        first, last = read_numbers(self.t_span, "t_span of an orbit").tolist()
+        if not first < last:
+            raise ValueError(f"t_span of an orbit is {short(self.t_span)}; give the start and the end, which is later")
+        named = ("position", "velocity", *([] if self.acceleration is None else ["acceleration"]))
+        for name in named:
+            function = getattr(self, name)
+            if not callable(function):
+                raise TypeError(f"{name} of an orbit is {short(function)}; give a function of the time t")
+            span = time_span_of(function)
+            wanted = max(first, span[0]), min(last, span[1])
+            if wanted != span:
+                function = limited(function, wanted)
+            set_fields(self, **{name: read_prescribed(function, f"{name} of an orbit")})
+        set_fields(
+            self,
+            t_span=time_span_of(self.position),
+            frame=read_frame(self.frame),
+            epoch=None if self.epoch is None else Epoch.read(self.epoch, "epoch of an orbit"),
+            planet=None if self.planet is None else read_planet(self.planet),
+            sampling_error=float(self.sampling_error),
+        )
 
     def __repr__(self) -> str:
         known = "" if self.t_span == ALWAYS else f" from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
@@ -161,9 +187,7 @@ class Orbit:
         ends = float(span[0]), float(span[1])
         if ends == self.t_span:
             return self
-        acceleration = None if self.acceleration is None else limited(self.acceleration, ends)
-        position, velocity = limited(self.position, ends), limited(self.velocity, ends)
-        return replace(self, position=position, velocity=velocity, acceleration=acceleration, t_span=ends)
+        return replace(self, t_span=ends)
 
     def at(self, t: npt.ArrayLike) -> OrbitStates:
         """Return positions and velocities at times.
@@ -265,7 +289,7 @@ class Orbit:
     def sun(self) -> OfTime:
         """Direction toward the sun from the Earth, a unit vector: the `sun` of `co.forces.SolarPressure`.
 
-        It is that of the Astronomical Almanac, within 0.01 degrees from 1950 to 2050, in the frame of the orbit, which
+        It is that of the Astronomical Almanac, within 0.02 degrees from 1950 to 2050, in the frame of the orbit, which
         has an epoch and one of the frames "J2000", "EME2000", "GCRF", "ICRF", "TEME", "MOD", "TOD"; of the orbits about
         other planets it is refused.
         """
@@ -304,7 +328,9 @@ def check_earth(orbit: Orbit, what: str) -> Epoch:
     if orbit.planet is not None and orbit.planet != EARTH:
         raise ValueError(f"{what} is that of the Earth, and the planet of the orbit is {orbit.planet}")
     if orbit.epoch is None:
-        raise ValueError(f"{what} needs a date, and the orbit has no epoch; give epoch='2024-03-20T03:06:00' and frame=")
+        raise ValueError(
+            f"{what} needs a date, and the orbit has no epoch; give epoch='2024-03-20T03:06:00' and frame="
+        )
     return orbit.epoch
 
 
@@ -340,12 +366,12 @@ def read_frame(value: Any) -> str:
 
 
 def read_epoch(value: Any, time_system: Any) -> Epoch | None:
+    """Validate a date in a time system, or none."""
     return None if value is None else Epoch.read(value, "epoch", time_system)
 
 
 def read_planet(value: Any) -> Planet:
+    """Validate a planet."""
     if not isinstance(value, Planet):
         raise TypeError(f"planet is {short(value)}; give co.orbits.EARTH, or co.orbits.Planet(mu, radius, j2)")
     return value
-
-

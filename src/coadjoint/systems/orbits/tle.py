@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ def from_tle(lines: Any, t_span: Any, *, epoch: Any = None, error: float = 0.01)
     Orbit
         In metres and seconds, in the frame TEME, the true equator and mean equinox of date of SGP4. Its
         `sampling_error` is the distance from SGP4 that was found in the middle of the pieces, and its velocity the
-        derivative of the position, from which that of SGP4 differs by some millimetres per second.
+        derivative of the position, from which that of SGP4 differs by some centimetres per second.
 
     Raises
     ------
@@ -142,7 +142,9 @@ def read_lines(lines: Any) -> tuple[str, str]:
         # The sum of the digits, in which a minus counts as one.
         total = sum(int(c) if c.isdigit() else c == "-" for c in row[:-1]) % 10
         if row[-1] != str(total):
-            raise ValueError(f"line {number} of the elements ends with {row[-1]!r}, and its checksum is {total}; copy it")
+            raise ValueError(
+                f"line {number} of the elements ends with {row[-1]!r}, and its checksum is {total}; copy it"
+            )
     if first[2:7] != second[2:7]:
         raise ValueError(f"the lines are those of two satellites, {first[2:7]} and {second[2:7]}; give those of one")
     return first, second
