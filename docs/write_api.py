@@ -249,6 +249,8 @@ def _place(value: Any) -> str:
     if isinstance(value, str):
         value = co
     plain = getattr(value, "fget", None) or getattr(value, "func", None) or value
+    if isinstance(value, co.orbits.Planet):
+        plain = type(value)
     try:
         file = inspect.getsourcefile(inspect.unwrap(plain)) or ""
     except TypeError:

@@ -32,7 +32,7 @@ class TextLine(NamedTuple):
     text: str
 
 
-class Segment(NamedTuple):
+class MessageSegment(NamedTuple):
     """A block of metadata by keyword, the lines of data after it, and the number of its first line."""
 
     metadata: dict[str, str]
@@ -59,7 +59,7 @@ def lines_of(path: Any) -> tuple[Path, list[TextLine]]:
     return file, lines
 
 
-def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, list[Segment]]:
+def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, list[MessageSegment]]:
     """Return the version and the segments of a message of a kind, "OEM" or "AEM"; ValueError with file and line."""
     keyword = f"CCSDS_{kind}_VERS"
     if lines[0].text.startswith("<"):
@@ -69,7 +69,7 @@ def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, 
         raise ValueError(
             f"{file}, line {lines[0].number}: {short(lines[0].text)}; the first line of an {kind} is {keyword} = 2.0"
         )
-    segments: list[Segment] = []
+    segments: list[MessageSegment] = []
     block = "header"
     for line in lines[1:]:
         text = line.text
@@ -78,7 +78,7 @@ def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, 
         begin, _, end = text.rpartition("_")
         if begin in BLOCKS and end in ("START", "STOP"):
             if end == "START" and begin == "META":
-                segments.append(Segment({}, [], line.number))
+                segments.append(MessageSegment({}, [], line.number))
             elif not segments:
                 raise ValueError(f"{file}, line {line.number}: {text} comes before META_START")
             block = begin if end == "START" else "DATA" if begin == "META" else "outside"
@@ -101,7 +101,7 @@ def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, 
     return version, segments
 
 
-def segment_of(file: Path, segments: Sequence[Segment], chosen: Any) -> Segment:
+def segment_of(file: Path, segments: Sequence[MessageSegment], chosen: Any) -> MessageSegment:
     """Return the only segment, or that of a number from 0 on."""
     if chosen is None and len(segments) == 1:
         return segments[0]
@@ -115,7 +115,7 @@ def segment_of(file: Path, segments: Sequence[Segment], chosen: Any) -> Segment:
     raise ValueError(f"{file} has {len(segments)} segments ({spans}), and {given}; give segment=0 or the next ones")
 
 
-def required(file: Path, segment: Segment, *names: str) -> list[str]:
+def required(file: Path, segment: MessageSegment, *names: str) -> list[str]:
     """Return the values of keywords; ValueError if one is missing."""
     missing = [name for name in names if not segment.metadata.get(name)]
     if missing:
@@ -123,7 +123,7 @@ def required(file: Path, segment: Segment, *names: str) -> list[str]:
     return [segment.metadata[name] for name in names]
 
 
-def time_system_of(file: Path, segment: Segment) -> str:
+def time_system_of(file: Path, segment: MessageSegment) -> str:
     """Return the time system of a segment; ValueError for one that is not known."""
     (name,) = required(file, segment, "TIME_SYSTEM")
     if name not in TIME_SYSTEMS:

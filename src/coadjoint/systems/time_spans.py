@@ -69,7 +69,7 @@ def _spans_in(value: Any) -> Iterator[Span]:
             continue
         seen.add(id(one))
         span = getattr(one, "time_span", None)
-        if span is not None:
+        if isinstance(span, tuple):
             yield span
         elif isinstance(one, types.FunctionType):
             pending += _read_by(one)
@@ -78,7 +78,7 @@ def _spans_in(value: Any) -> Iterator[Span]:
 
 
 def _read_by(function: types.FunctionType) -> list[Any]:
-    """Return the functions in the closure and in the globals of a function."""
+    """Return the functions and orbits in the closure and in the globals of a function."""
     found: list[Any] = [function.__globals__.get(name) for name in function.__code__.co_names]
     for cell in function.__closure__ or ():
         try:
@@ -86,7 +86,9 @@ def _read_by(function: types.FunctionType) -> list[Any]:
         except ValueError:  # empty
             continue
     plain = [getattr(one, "py_func", one) for one in found]
-    return [one for one in plain if isinstance(one, types.FunctionType)]
+    return [
+        one for one in plain if isinstance(one, types.FunctionType) or isinstance(getattr(one, "time_span", 0), tuple)
+    ]
 
 
 def sample_time_of(*values: Any) -> float:

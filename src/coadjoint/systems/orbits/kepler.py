@@ -142,7 +142,7 @@ def kepler(
     >>> normals = [orbit.local_frame()(t)[:2, 2] for t in (0.0, 86400.0)]
     >>> a, b = (np.arctan2(x, -y) for x, y in normals)
     >>> round(float(np.degrees(b - a)), 2)
-    0.99
+    0.98
     """
     return _orbit(
         semi_major_axis,
@@ -189,9 +189,11 @@ def _orbit(
         )
     given = {"inclination": inclination, "node": node, "pericentre": pericentre, "mean anomaly": anomaly}
     angles = [unit * read_number(value, name) for name, value in given.items()]
-    functions = _drifting if read_bool(drift, "drift") else _at_rest
+    position, velocity, acceleration = (_drifting if read_bool(drift, "drift") else _at_rest)(body, a, e, *angles)
     return Orbit(
-        *functions(body, a, e, *angles),
+        position,
+        velocity,
+        acceleration,
         frame=read_frame(frame),
         epoch=read_epoch(epoch, time_system),
         planet=body,
@@ -210,7 +212,7 @@ def _anomaly(e: float) -> OfTime:
 
 def _at_rest(
     body: Planet, a: float, e: float, i: float, node: float, pericentre: float, M0: float
-) -> tuple[OfTime, OfTime]:
+) -> tuple[OfTime, OfTime, None]:
     P, Q, _ = _plane(i, node, pericentre)
     rate, shape, anomaly = sqrt(body.mu / a) / a, sqrt((1.0 - e) * (1.0 + e)), _anomaly(e)
 
@@ -224,7 +226,7 @@ def _at_rest(
         speed = a * rate / (1.0 - e * c)
         return (-speed * s) * P + (speed * shape * c) * Q
 
-    return position, velocity
+    return position, velocity, None
 
 
 def drift_rates(body: Planet, a: float, e: float, i: float) -> tuple[float, float, float]:

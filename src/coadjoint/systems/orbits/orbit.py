@@ -157,6 +157,11 @@ class Orbit:
         frame = f" in {self.frame}" if self.frame else ""
         return f"<orbit{frame}{known}{f', t = 0 at {self.epoch}' if self.epoch else ''}>"
 
+    @property
+    def time_span(self) -> Span:
+        """The span of functions that call those of the orbit."""
+        return self.t_span
+
     def within(self, t_span: Any) -> Orbit:
         """Return the orbit with a shorter span, outside of which it is refused.
 
@@ -235,7 +240,7 @@ class Orbit:
         Examples
         --------
         >>> import coadjoint as co
-        >>> co.orbits.circular(7.0e6).local_frame(down=True)(0.0).round(12)
+        >>> co.orbits.circular(7.0e6).local_frame(down=True)(0.0).round(12) + 0.0
         array([[ 0.,  0., -1.],
                [ 1.,  0.,  0.],
                [ 0., -1.,  0.]])
