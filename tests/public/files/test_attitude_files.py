@@ -297,6 +297,31 @@ def test_refused_logs(tmp_path, case):
         A.read(path, **options)
 
 
+def test_damaged_files_are_read_or_refused(tmp_path):
+    """Bytes that are changed, cut, or put in: a ValueError of one line, and nothing else."""
+    rng, path, outcomes = np.random.default_rng(9), tmp_path / "log.csv", set()
+    texts = [aem(**AEM[case]) for case in AEM] + [text for text, _ in CSV.values()]
+    parts = (b"nan", b"1e999", b"META_STOP\n", b"9" * 200, b'"', b"\x00", b"\xff", b"0001-01-01T00:00:00 ", b"\n", b",")
+    for _ in range(200):
+        content = bytearray(texts[rng.integers(len(texts))].encode())
+        at, kind = int(rng.integers(len(content))), rng.integers(3)
+        if kind == 0:
+            content[at] = rng.integers(256)
+        elif kind == 1:
+            del content[at : at + int(rng.integers(1, 30))]
+        else:
+            content[at:at] = parts[rng.integers(len(parts))]
+        path.write_bytes(content)
+        try:
+            log = A.read(path)
+            assert np.isfinite(log.t).all() and np.isfinite(log.rotation.as_matrix()).all()
+            outcomes.add("read")
+        except ValueError as refusal:
+            assert "\n" not in str(refusal)
+            outcomes.add("refused")
+    assert outcomes == {"read", "refused"}
+
+
 def test_refused_writing(tmp_path):
     log = A.AttitudeLog(T, TURNED, **DATED)
     with refused(TypeError, "AttitudeLog"):

@@ -469,6 +469,11 @@ def test_refused_orbits(case):
         make()
 
 
+def fitting(line):
+    """Return a line of elements with the checksum of its digits."""
+    return line[:68] + str(sum(int(one) if one.isdigit() else one == "-" for one in line[:68]) % 10)
+
+
 LINES = ISS.splitlines()[1:]
 WRONG_LINES = {
     "one line": (LINES[0], ("1 line",)),
@@ -476,6 +481,8 @@ WRONG_LINES = {
     "swapped": (LINES[::-1], ("line 1",)),
     "two satellites": ((LINES[0], MOLNIYA.splitlines()[1]), ("25544", "08195")),
     "cut": ((LINES[0][:60], LINES[1]), ("69",)),
+    "a date": ((fitting(LINES[0].replace("08264.51782528", "08264x51782528")), LINES[1]), ("date", "08264x")),
+    "an inclination": ((LINES[0], fitting(LINES[1].replace(" 51.6416", "-51.6416"))), ("inclination", "-51")),
     "other signs": ((LINES[0].replace("U", "µ"), LINES[1]), ("line 1",)),
 }
 
@@ -493,6 +500,10 @@ def test_refused_propagation():
         O.from_tle(25544, (0, 100))
     with refused(ValueError, "t_span"):
         O.from_tle(ISS, (100, 0))
+    with refused(ValueError, "revolutions"):
+        O.from_tle(ISS, (0, 1e12))
+    with refused(ValueError, "error is 1e-12"):
+        O.from_tle(ISS, (0, 6000), error=1e-12)
     with refused(ValueError, "TAI"):
         O.from_tle(ISS, (0, 100), epoch=O.Epoch.read("2008-09-20", "e", "TAI"))
     decaying = (

@@ -24,6 +24,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.orbits.epochs import Epoch, leap_seconds
 
 DEGREE = np.pi / 180.0
+MAX_SECONDS = 1e10  # from the epoch of a log: three centuries
 COUNTS = {"QUATERNION": 4, "QUATERNION/DERIVATIVE": 8, "QUATERNION/ANGVEL": 7, "QUATERNION/RATE": 7}
 """Types of data that are read: quaternions, of which rates of version 1 and derivatives are left out."""
 BODIES = "SC_BODY", "SC", "BODY", "CSS", "INSTRUMENT", "STARTRACKER", "IMU", "ACTUATOR", "RW", "SA", "TAM"
@@ -122,6 +123,8 @@ def aem_text(log: AttitudeLog, object_name: str, object_id: str, originator: str
 
 def _date_text(epoch: Epoch, t: float) -> str:
     """Return the date at a time with nanoseconds."""
+    if not abs(t) < MAX_SECONDS:
+        raise ValueError(f"t is {t:g} seconds from the epoch of the log; give an epoch that is nearer")
     whole = int(np.floor(t))
     nanoseconds = round((t - whole) * 1e9) + 1000 * epoch.date.microsecond
     date = epoch.date.replace(microsecond=0) + timedelta(seconds=whole + nanoseconds // 10**9)

@@ -39,7 +39,7 @@ def log_of_table(
     if not rows:
         raise ValueError(f"{file} has no rows")
     separator = max(",;\t", key=rows[-1].text.count)
-    cells = [next(csv.reader([line.text], delimiter=separator, skipinitialspace=True)) for line in rows]
+    cells = [_cells(line, separator, file) for line in rows]
     header: list[str] = []
     if not _is_number(cells[0][-1]):
         header = cells.pop(0)
@@ -119,6 +119,13 @@ def table_text(log: AttitudeLog, tum: bool) -> str:
         known.append(f"# t = 0 at {log.epoch}")
     rows = [",".join(map(repr, row)) for row in np.stack(columns, axis=1).tolist()]
     return "\n".join([*known, ",".join(names), *rows, ""])
+
+
+def _cells(line: TextLine, separator: str, file: Path) -> list[str]:
+    try:
+        return next(csv.reader([line.text], delimiter=separator, skipinitialspace=True))
+    except csv.Error as reason:
+        raise ValueError(f"{file}, line {line.number}: {reason}") from None
 
 
 def _is_number(text: str) -> bool:

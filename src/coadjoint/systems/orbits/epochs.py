@@ -14,6 +14,8 @@ from coadjoint.validation import read_choice
 Floats = NDArray[np.float64]
 
 J2000 = datetime(2000, 1, 1, 12)
+FIRST_YEAR, LAST_YEAR = 1800, 2200
+"""Years of epochs, for which precession and the sun are known."""
 DAY = 86400.0
 CENTURY = 36525.0
 TAI_BEHIND_TT = 32.184
@@ -48,6 +50,8 @@ class Epoch(NamedTuple):
                     f"{what} is {short(str(value))}, in UTC, and time_system is {name!r}; give one of them"
                 )
             date = date.astimezone(UTC).replace(tzinfo=None)
+        if not FIRST_YEAR <= date.year <= LAST_YEAR:
+            raise ValueError(f"{what} is in the year {date.year}; give one from {FIRST_YEAR} to {LAST_YEAR}")
         return cls(date, name)
 
     def __str__(self) -> str:

@@ -129,9 +129,12 @@ def igrf(orbit: Orbit, t_span: Any = None, *, error: float = 1e-9) -> OfTime:
     if not (np.isfinite([first, last]).all() and first < last):
         given = "was not given, and the orbit has no end" if t_span is None else f"is {short(t_span)}"
         raise ValueError(f"t_span {given}; give the start and the end of the field")
-    dates = [epoch.utc + timedelta(seconds=one) for one in (first, last)]
-    if not (FIRST_YEAR <= dates[0].year and dates[1] <= datetime(LAST_YEAR, 1, 1)):
-        raise ValueError(f"the orbit is dated {dates[0]} to {dates[1]}; the model is known from 1900 to 2030")
+    known = [(datetime(year, 1, 1) - epoch.utc).total_seconds() for year in (FIRST_YEAR, LAST_YEAR)]
+    if not (known[0] <= first and last <= known[1]):
+        raise ValueError(
+            f"the field is needed from t = {first:g} to {last:g} after {epoch}, and the model is known from "
+            f"{FIRST_YEAR} to {LAST_YEAR}"
+        )
     state = orbit.at(first)
     turn = 2.0 * np.pi * np.linalg.norm(state.position) / np.linalg.norm(state.velocity)
     pieces = max(8, int(np.ceil(SAMPLES_A_REVOLUTION * (last - first) / turn)))

@@ -15,6 +15,8 @@ from coadjoint.validation import read_finite
 
 Floats = NDArray[np.float64]
 
+LARGEST = 1e100
+"""Size of positions and velocities beyond which their products leave the range of float64."""
 CONTRADICTION = 0.5
 """Share of a step by which the one of the velocities may differ from that of the positions: beyond, units differ."""
 
@@ -95,6 +97,7 @@ def from_samples(
         v = read_finite(velocity, "velocity")
         if v.shape != r.shape:
             raise ValueError(f"velocity has the shape {v.shape}; give that of position, {r.shape}")
+    check_sizes(r)
     least_distance = float(np.sqrt((r * r).sum(axis=1)).min())
     if not least_distance > body.radius:
         raise ValueError(
@@ -106,8 +109,16 @@ def from_samples(
     return sampled_orbit(times, r, v, degree, read_frame(frame), read_epoch(epoch, time_system), body)
 
 
+def check_sizes(*values: Floats) -> None:
+    """Raise ValueError for numbers whose products overflow."""
+    for array in values:
+        if not np.abs(array).max() < LARGEST:
+            raise ValueError(f"a position or velocity is {np.abs(array).max():.3g}; give numbers below {LARGEST:g}")
+
+
 def check_velocities(t: Floats, r: Floats, v: Floats) -> None:
     """Raise ValueError for velocities that are not the derivatives of positions, as in other units."""
+    check_sizes(r, v)
     chord = np.diff(r, axis=0)
     ahead = 0.5 * np.diff(t)[:, None] * (v[1:] + v[:-1])
     sizes = np.sqrt((chord * chord).sum(axis=1))

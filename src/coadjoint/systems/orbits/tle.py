@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import timedelta
 from typing import Any
 
@@ -21,9 +22,25 @@ from coadjoint.validation import read_finite, read_positive
 Floats = NDArray[np.float64]
 
 LENGTH = 69  # of a line of elements
+ANGLE, MANTISSA = r" *\d+\.\d+ *", r"[ +-]?[ \d]{5}[ +-]?\d"
+FIELDS = {
+    (18, 32): (0, "date", r"[ \d]\d[ \d]{2}\d\.\d{8}"),
+    (33, 43): (0, "change of the mean motion", r"[ +-]*\d?\.\d+ *"),
+    (44, 52): (0, "second change of the mean motion", MANTISSA),
+    (53, 61): (0, "drag", MANTISSA),
+    (8, 16): (1, "inclination", ANGLE),
+    (17, 25): (1, "right ascension", ANGLE),
+    (26, 33): (1, "eccentricity", r"[ \d]{6}\d"),
+    (34, 42): (1, "argument of the perigee", ANGLE),
+    (43, 51): (1, "mean anomaly", ANGLE),
+    (52, 63): (1, "mean motion", ANGLE),
+}
+"""Columns: the line from 0 on, the name and the pattern of what the propagation needs."""
 J2000_JULIAN = 2451545.0
 SAMPLES_A_REVOLUTION = 32  # at the start; doubled until the error is small enough
-MAX_SAMPLES = 1 << 22
+MAX_SAMPLES = 1 << 20
+STALLED, MAX_STALLED = 0.75, 3
+"""Part of the error that must not remain when samples are doubled, and how often it may."""
 MINUTE, DAY, KILOMETRE = 60.0, 86400.0, 1000.0
 
 
@@ -107,7 +124,10 @@ def from_tle(lines: Any, t_span: Any, *, epoch: Any = None, error: float = 0.01)
 
     period = MINUTE * 2.0 * np.pi / satellite.no_kozai
     pieces = max(4, int(np.ceil(SAMPLES_A_REVOLUTION * (span[1] - span[0]) / period)))
-    while pieces <= MAX_SAMPLES:
+    if pieces > MAX_SAMPLES:
+        raise ValueError(f"t_span has {(span[1] - span[0]) / period:.3g} revolutions; give a shorter one")
+    last, stalled = np.inf, 0
+    while pieces <= MAX_SAMPLES and stalled < MAX_STALLED:
         t = np.linspace(span[0], span[1], pieces + 1)
         middles = 0.5 * (t[:-1] + t[1:])
         r, (between, _) = states(t)[0], states(middles)
@@ -116,8 +136,13 @@ def from_tle(lines: Any, t_span: Any, *, epoch: Any = None, error: float = 0.01)
         found = np.sqrt(((spline.coefficients[:, 0] - between) ** 2).sum(axis=1)).max()
         if found <= tolerance:
             return sampled_orbit(t, r, None, 7, "TEME", start, EARTH, float(found))
-        pieces *= 2
-    raise ValueError(f"error is {tolerance:g} m, and {MAX_SAMPLES} samples do not meet it; give a larger one")
+        # Of an orbit that is not smooth, as one of wrong elements, it does not fall.
+        stalled = stalled + 1 if not found < STALLED * last else 0
+        pieces, last = 2 * pieces, found
+    raise ValueError(
+        f"{len(t)} samples of SGP4 leave an error of {found:.3g} m, and error is {tolerance:g}; give a larger one, a "
+        "shorter t_span, or elements of a satellite in orbit"
+    )
 
 
 def _days(fraction: float) -> timedelta:
@@ -145,6 +170,10 @@ def read_lines(lines: Any) -> tuple[str, str]:
             raise ValueError(
                 f"line {number} of the elements ends with {row[-1]!r}, and its checksum is {total}; copy it"
             )
+    for (begin, end), (row, name, pattern) in FIELDS.items():
+        field = (first, second)[row][begin:end]
+        if not re.fullmatch(pattern, field):
+            raise ValueError(f"the {name} in line {row + 1} of the elements is {field!r}, which is none; copy the line")
     if first[2:7] != second[2:7]:
         raise ValueError(f"the lines are those of two satellites, {first[2:7]} and {second[2:7]}; give those of one")
     return first, second
