@@ -19,8 +19,8 @@ import coadjoint as co
 
 members, rounds = map(int, sys.argv[1:])
 rng = np.random.default_rng(1)
-MU, RADIUS, FIELD = 3.986e14, 7.0e6, 3.0e-5
-RATE = np.sqrt(MU / RADIUS**3)
+RADIUS = 7.0e6
+RATE = np.sqrt(co.orbits.EARTH.mu / RADIUS**3)
 PLATES = {
     "areas": (1.0, 1.0),
     "normals": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
@@ -29,24 +29,14 @@ PLATES = {
 WHEELS = [(0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01)]
 
 def satellite():
-    phase, F = rng.uniform(0.0, 6.28), co.forces
-
-    def position(t):
-        return RADIUS * np.array([np.cos(RATE * t + phase), np.sin(RATE * t + phase), 0.0])
-
-    def velocity(t):
-        return RADIUS * RATE * np.array([-np.sin(RATE * t + phase), np.cos(RATE * t + phase), 0.0])
-
-    def field(t, r):
-        u = r / RADIUS
-        return FIELD * (3.0 * u * u[2] - np.array([0.0, 0.0, 1.0]))
-
+    F, options = co.forces, {"epoch": "2026-03-20T12:00:00", "frame": "J2000"}
+    orbit = co.orbits.circular(RADIUS, argument=rng.uniform(0.0, 6.28), **options)
     law = F.Pointing(0.05 * rng.uniform(0.8, 1.2), 2.0 * rng.uniform(0.8, 1.2), error="quaternion")
     return co.systems.body(np.array([20.0, 25.0, 30.0]) * rng.uniform(0.9, 1.1, 3), wheels=WHEELS).with_forces(
-        F.GravityGradient(MU, position),
-        F.MagneticDipole(rng.normal(0.0, 0.1, 3), field, position),
+        F.GravityGradient(orbit.planet.mu, orbit.position),
+        F.MagneticDipole(rng.normal(0.0, 0.1, 3), co.orbits.tilted_dipole(orbit)),
         F.SolarPressure(4.5e-6, (1.0, 0.0, 0.0), **PLATES),
-        F.Drag(1e-12, velocity, **PLATES),
+        F.Drag(1e-12, orbit.velocity, **PLATES),
         F.ReactionWheels(law, 1.0),
     )
 

@@ -68,6 +68,8 @@ MEMBERS_OF = (
     ("Thermal states", co.ThermalStates, ""),
     ("A structure factor", co.spectra.StructureFactor, "plot"),
     ("An autocorrelation", co.spectra.Autocorrelation, ""),
+    ("An orbit", co.orbits.Orbit, "at local_frame local_rate sun sunlight within"),
+    ("A log of attitudes", co.attitudes.AttitudeLog, "of t_span"),
     ("A phase drift", co.PhaseDrift, "growth plot"),
     ("A certificate", co.Certificate, "failures passed plot to_json to_mapping"),
     ("A row of a certificate", Row, ""),
@@ -93,6 +95,8 @@ NAMESPACES = (
     ("Analysis", "analysis"),
     ("Correlations in space and time ([spins.md](spins.md))", "spectra"),
     ("Check-cases for simulators ([checkcases.md](checkcases.md))", "checkcases"),
+    ("Orbits ([orbits.md](orbits.md))", "orbits"),
+    ("Logs of attitudes ([orbits.md](orbits.md#logs-of-attitudes))", "attitudes"),
     ("Plotting ([gallery.md](gallery.md))", "plotting"),
     ("Stored results ([files.md](files.md))", "results"),
     ("Functions of JAX ([derivatives.md](derivatives.md#jax))", "jax"),
@@ -248,6 +252,8 @@ def _place(value: Any) -> str:
     if isinstance(value, str):
         value = co
     plain = getattr(value, "fget", None) or getattr(value, "func", None) or value
+    if isinstance(value, co.orbits.Planet):
+        plain = type(value)
     try:
         file = inspect.getsourcefile(inspect.unwrap(plain)) or ""
     except TypeError:

@@ -2,10 +2,12 @@
 
 from . import algebras as algebras
 from . import analysis as analysis
+from . import attitudes as attitudes
 from . import bodies as bodies
 from . import checkcases as checkcases
 from . import jax as jax
 from . import methods as methods
+from . import orbits as orbits
 from . import plotting as plotting
 from . import results as results
 from . import spectra as spectra

@@ -28,6 +28,9 @@ EXTRAS = {
     "fsspec": "remote",
     "trimesh": "bodies",
     "mujoco": "mujoco",
+    "sgp4": "orbits",
+    "ppigrf": "orbits",
+    "spiceypy": "spice",
     "jax": "jax",
     "torch": "torch",
 }

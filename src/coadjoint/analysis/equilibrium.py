@@ -45,7 +45,7 @@ class TangentSpace(NamedTuple):
         return result
 
 
-class Orbit:
+class CoadjointOrbits:
     """The coadjoint orbits of a system in coordinates y = x / units: motion along them, derivatives of functions."""
 
     # Units are powers of two, so that scaling does not round.
@@ -239,7 +239,7 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     x0 = _validated(system, x0)
     direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
     groups = CoordinateGroups(system)
-    orbit = Orbit(system, groups.units(groups.norms(x0)))
+    orbit = CoadjointOrbits(system, groups.units(groups.norms(x0)))
     start = x0 / orbit.units
     _check_regular(orbit, start)
     y = _critical_point(orbit, start, direction)
@@ -272,7 +272,7 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     return x
 
 
-def _check_regular(orbit: Orbit, y: Floats) -> None:
+def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
     rank, generic = orbit.tangents(y).basis.shape[1], orbit.system.algebra.generic_rank()
     if rank < generic:
         raise ValueError(
@@ -284,7 +284,7 @@ def _check_regular(orbit: Orbit, y: Floats) -> None:
         raise ValueError(f"the coadjoint orbits of {orbit.system.name} are points, and every state is an equilibrium")
 
 
-def _critical_point(orbit: Orbit, x: Floats, direction: float) -> Floats:
+def _critical_point(orbit: CoadjointOrbits, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
     last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(orbit, x)
     # Ways of descents, and the change of the field along them: by these, directions know the second variation.
@@ -342,17 +342,19 @@ def _direction_of_descent(field: Floats, pairs: Sequence[tuple[Floats, Floats]])
     return q
 
 
-def _field_scale(orbit: Orbit, x: Floats) -> float:
+def _field_scale(orbit: CoadjointOrbits, x: Floats) -> float:
     """Return the size of the terms of J(x) grad H(x), which cancel at an equilibrium."""
     slopes = np.abs(orbit.gradient(x)) + np.abs(orbit.hessian(x)) @ np.abs(x)
     return float(np.max(np.abs(x))) * orbit.norm(slopes)
 
 
-def _sizes(orbit: Orbit, x: Floats) -> tuple[float, float]:
+def _sizes(orbit: CoadjointOrbits, x: Floats) -> tuple[float, float]:
     return float(np.max(np.abs(x))), float(np.max(orbit.absolute_product(x, np.ones(orbit.dim))))
 
 
-def _check_bounded(orbit: Orbit, first: tuple[float, float], now: tuple[float, float], direction: float) -> None:
+def _check_bounded(
+    orbit: CoadjointOrbits, first: tuple[float, float], now: tuple[float, float], direction: float
+) -> None:
     grown, shrunk = not now[0] < UNBOUNDED * first[0], now[1] * UNBOUNDED < first[1]
     if grown or shrunk:
         extremum = {1.0: "minimum", -1.0: "maximum", 0.0: "equilibrium near x0"}[direction]
@@ -362,7 +364,9 @@ def _check_bounded(orbit: Orbit, first: tuple[float, float], now: tuple[float, f
         )
 
 
-def _searched(orbit: Orbit, x: Floats, v: Floats, length: float, slope: float, sign: float) -> tuple[Floats, float]:
+def _searched(
+    orbit: CoadjointOrbits, x: Floats, v: Floats, length: float, slope: float, sign: float
+) -> tuple[Floats, float]:
     """Return exp(D_(length v)) x with a length that lowers `sign` H, halved until it does; `slope` is its decrease."""
     energy = sign * orbit.energy(x)
     while True:
@@ -373,7 +377,7 @@ def _searched(orbit: Orbit, x: Floats, v: Floats, length: float, slope: float, s
         length *= 0.5
 
 
-def _newton_step(orbit: Orbit, x: Floats, field: Floats, direction: float) -> Floats:
+def _newton_step(orbit: CoadjointOrbits, x: Floats, field: Floats, direction: float) -> Floats:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
     tangents = orbit.tangents(x)
     gradient = tangents.basis.T @ field
@@ -386,7 +390,7 @@ def _newton_step(orbit: Orbit, x: Floats, field: Floats, direction: float) -> Fl
     return _searched(orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
 
 
-def _is_semidefinite(orbit: Orbit, x: Floats, direction: float) -> bool:
+def _is_semidefinite(orbit: CoadjointOrbits, x: Floats, direction: float) -> bool:
     """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
     matrix = direction * orbit.second_variation(x, orbit.tangents(x))
     try:
@@ -416,7 +420,7 @@ def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
     return np.asarray(vectors @ components)
 
 
-def _is_definite(orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
+def _is_definite(orbit: CoadjointOrbits, x: Floats, tangents: TangentSpace) -> bool:
     """Return whether the second variation of H plus multiples of the critical integrals is definite."""
     variations = [orbit.second_variation(x, tangents)]
     for integral in orbit.system.integrals.values():

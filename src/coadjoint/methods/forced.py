@@ -18,6 +18,7 @@ from coadjoint.methods.protocol.method import Method, Representation, declared_p
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.time_spans import check_span
 
 if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
@@ -44,13 +45,20 @@ def check_supports(system: Any, method: Method) -> None:
     effective_scheme(system, method).properties(system)
 
 
-def check_steps(system: Any, t0: float, h: float) -> None:
-    """Raise ValueError if a force cannot act in steps from t0: backward, or with samples within steps."""
+def check_steps(system: Any, scheme: Any, t0: float, h: float, steps: int = 0) -> None:
+    """Raise ValueError if a force cannot act in steps from t0: backward, with samples within steps, or, of a number of
+    steps, at times at which its functions are not known.
+    """
     if not system.forces:
         return
+    # Substeps of schemes of higher order reach beyond the ends of a step.
+    ends = [0.0, *accumulate(scheme.fractions)] if isinstance(scheme, Forced) else [0.0, 1.0]
+    begin, end = t0 + min(0.0, *ends) * h, t0 + (steps - 1 + max(1.0, *ends)) * h
     for one in system.distinct:
-        for force in one.forces:
+        for label, force in zip(one.labels, one.forces, strict=True):
             force.check_steps(t0, h)
+            if steps:
+                check_span(label, force, begin, end)
 
 
 def substeps_of(fractions: Sequence[float], t: Any, h: Any) -> list[tuple[Any, Any]]:
@@ -194,7 +202,7 @@ class Forced(Wrapper):
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         from coadjoint.kernels.tables.forces import forced_loop
 
-        check_steps(system, 0.0, h)
+        check_steps(system, self, 0.0, h)
         inner = {c: self.inner.loop(system.unforced, c * h, representation) for c in dict.fromkeys(self.fractions)}
         return forced_loop(system, inner, self.fractions, self.order, representation)
 

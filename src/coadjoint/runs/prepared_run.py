@@ -212,7 +212,7 @@ class PreparedRun(Immutable):
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
         times = self.cache.times_of(t_span, save_every)
-        check_steps(self.system, times.t0, times.h)
+        check_steps(self.system, self.scheme, times.t0, times.h, times.steps)
         if t_eval is None:
             return times, None
         noisy = any(force.random for force in self.system.forces)
@@ -399,7 +399,7 @@ class PreparedRun(Immutable):
             plan, times = cache.plan, cache.times_of(t_span, save_every)
             if plan is not None and plan.is_short and plan.groups == ONE_VECTOR:
                 if plan.times is not times:
-                    check_steps(self.system, times.t0, times.h)
+                    check_steps(self.system, self.scheme, times.t0, times.h, times.steps)
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:

@@ -95,7 +95,7 @@ class FinalStateRun:
     def _prepare_span(self, t_span: Any) -> None:
         self._span, self._advance = NO_SPAN, None
         times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
-        check_steps(self._prepared.system, times.t0, times.h)
+        check_steps(self._prepared.system, self._prepared.scheme, times.t0, times.h, times.steps)
         if times.h != self._h:
             self._h, self._whole_run = times.h, self._allocated(times)
         if self._whole_run is not None and times.steps:

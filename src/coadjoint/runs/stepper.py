@@ -77,7 +77,7 @@ class Stepper(Immutable):
         values = prepared.values_of(inputs, x)
         start = prepared.start(x, initial, values, begins=not self.system.forces)
         times = Times(read_number(t, "t"), self.h, 1, 1)
-        check_steps(self.system, times.t0, times.h)
+        check_steps(self.system, prepared.scheme, times.t0, times.h, 1)
         return prepared.follow(times, start, values=values)
 
     def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:

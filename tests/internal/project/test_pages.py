@@ -25,7 +25,8 @@ def api():
 def test_every_public_name_is_listed(api):
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     names = {f"co.{name}" for name in dir(co)}
-    for space in "algebras analysis bodies checkcases forces jax methods plotting results spectra systems torch".split():
+    spaces = "algebras analysis attitudes bodies checkcases forces jax methods orbits plotting results spectra systems"
+    for space in [*spaces.split(), "torch"]:
         names |= {f"co.{space}.{name}" for name in getattr(co, space).__all__}
     names |= set(co.algebras.names())
     names |= {f"coadjoint {name}" for name in commands.commands.commands}

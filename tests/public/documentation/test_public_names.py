@@ -122,19 +122,7 @@ def test_help_of_the_package_is_two_screens():
 
 @pytest.mark.parametrize(
     "space",
-    [
-        "algebras",
-        "analysis",
-        "bodies",
-        "forces",
-        "jax",
-        "methods",
-        "plotting",
-        "results",
-        "spectra",
-        "systems",
-        "torch",
-    ],
+    "algebras analysis attitudes bodies forces jax methods orbits plotting results spectra systems torch".split(),
 )
 def test_namespaces_are_lazy_and_name_what_is_near(space):
     module = getattr(co, space)

@@ -117,7 +117,7 @@ def certify(
         if not claims.get("compiled", True):
             raise TypeError(f"{system.name} has forces, and a function is a step without them; certify its .unforced")
         check_supports(system, scheme)
-        check_steps(system, 0.0, h)
+        check_steps(system, method, 0.0, h)
     states, _ = momenta_of(system, x0)
     forced, system = system, system.unforced.in_numbers
     size = float(np.max(np.abs(states), initial=0.0))

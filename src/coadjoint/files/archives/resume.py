@@ -32,6 +32,7 @@ from coadjoint.files.datasets.export import ENDED_ATTRIBUTE
 from coadjoint.files.datasets.variables import Variables
 from coadjoint.kernels.interface import codes
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.methods.forced import check_steps
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
@@ -159,6 +160,7 @@ def resume(
             )
         if t_end is not None:
             extended = extended_times(store, planned, t_end)
+            check_steps(prepared.system, prepared.scheme, extended.t0, extended.h, extended.steps)
             if extended.steps != times.steps:
                 planned = planned._replace(times=extended)
                 with reading(archive_path, "the archive"):

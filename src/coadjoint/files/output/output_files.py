@@ -41,6 +41,7 @@ MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
 HEADERS = (".h", ".hpp")
+LOGS = (".csv", ".tum", ".aem", ".tsc")
 GIF_WHITE_THRESHOLD = 248
 """In a GIF, shades from here on become white."""
 MAX_GIF_FPS = 50
@@ -55,7 +56,8 @@ REQUIRED_PACKAGES = {
     ".json": (),
     ".csv": (),
     ".html": (),
-    **dict.fromkeys(HEADERS, ()),
+    **dict.fromkeys((*HEADERS, *LOGS), ()),
+    ".bc": ("spiceypy",),
 }
 FORMAT_NAMES = {
     ".nc": "NetCDF",
@@ -64,6 +66,8 @@ FORMAT_NAMES = {
     ".csv": "CSV",
     ".html": "a page",
     **dict.fromkeys(HEADERS, "a header"),
+    **dict.fromkeys(LOGS, "a log of attitudes"),
+    ".bc": "a C-kernel of SPICE",
     **dict.fromkeys(FIGURES, "a figure"),
     **dict.fromkeys(MOVIES, "a movie"),
 }

@@ -27,13 +27,13 @@ from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.orbits.kepler_equation import eccentric_anomaly
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
 
 RADIAL, NORMAL = slice(3, 6), slice(9, 12)  # the axes X and Z of the orbital frame, seen from the body
-NEWTON_STEPS = 100  # of Kepler's equation: far above the 9 that any eccentricity up to 1 - 1e-9 takes
 
 
 class KeplerOrbit(NamedTuple):
@@ -94,7 +94,7 @@ class OrbitingSatellite(BodySystem):
         """
         times, e = read_finite(t, "t"), self.eccentricity
         mean = self.mean_motion * times
-        E = np.array([_eccentric_anomaly(value, e) for value in mean.ravel().tolist()]).reshape(times.shape)
+        E = np.array([eccentric_anomaly(value, e) for value in mean.ravel().tolist()]).reshape(times.shape)
         turns = 2.0 * pi * np.round((mean - E) / (2.0 * pi))
         anomaly = 2.0 * np.arctan2(np.sqrt(1.0 + e) * np.sin(0.5 * E), np.sqrt(1.0 - e) * np.cos(0.5 * E))
         radius = 1.0 - e * np.cos(E)
@@ -251,26 +251,12 @@ def satellite_on_orbit(
     return system
 
 
-def _eccentric_anomaly(mean: float, e: float) -> float:
-    """Solve Kepler's equation E - e sin E = mean, reduced to (-pi, pi), from above by Newton's method."""
-    # The left side is convex from 0 to pi, and each of the starting values is an upper bound of the solution.
-    reduced = mean - 2.0 * np.pi * np.floor(mean / (2.0 * np.pi) + 0.5)  # in every direction of rounding
-    positive = abs(reduced)
-    E = min(positive + e, positive / (1.0 - e), np.pi)
-    for _ in range(NEWTON_STEPS):
-        new = E - (E - e * np.sin(E) - positive) / (1.0 - e * np.cos(E))
-        if not new < E:
-            break
-        E = new
-    return E if reduced >= 0.0 else -E
-
-
 @lru_cache(maxsize=64)
 def _inverse_radius(rate: float, e: float) -> Callable[..., Any]:
     """Return the semi-major axis over the radius, a function of the time for compiled functions."""
 
     def inverse_radius(t: Any) -> Any:
-        return 1.0 / (1.0 - e * np.cos(_eccentric_anomaly(rate * t, e)))
+        return 1.0 / (1.0 - e * np.cos(eccentric_anomaly(rate * t, e)))
 
     return inverse_radius
 

@@ -12,10 +12,11 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
+from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.keyword_hints import Abstract
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.coordinates import check_moved, kinds_of
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
 
 Plain = float | tuple[Any, ...]
@@ -158,7 +159,7 @@ class Force(Abstract):
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
-                    moved = fixed & self._changed(system, x, SAMPLE_TIME)
+                    moved = fixed & self._changed(system, x, sample_time_of(self))
             except Exception:  # outside its domain a user function may raise anything
                 continue
             check_moved(self.label, system, moved)

@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
@@ -19,6 +18,7 @@ from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.angular_velocity import velocity_of
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_choice, read_finite
 
@@ -80,7 +80,7 @@ def read_prescribed(value: Any, what: str, shape: tuple[int, ...] = (3,)) -> Any
     """Validate a constant vector of space, or a function of the time that returns one."""
     if callable(value):
         check_arguments(value, what, "t")
-        check_value(value, what, shape, SAMPLE_TIME)
+        check_value(value, what, shape, sample_time_of(value))
         return value
     array = read_finite(value, what)
     _check_shape(array, what, shape)
@@ -124,7 +124,7 @@ def check_value(function: Callable[..., Any], what: str, shape: tuple[int, ...],
         value = function(*arguments)
     except Exception as reason:
         failure = f"{type(reason).__name__}: {in_one_line(str(reason), 200)}"
-        raise ValueError(f"{what} fails at t = {SAMPLE_TIME} ({failure}); correct the function") from None
+        raise ValueError(f"{what} fails at t = {arguments[0]:g} ({failure}); correct the function") from None
     _check_shape(value, what, shape)
     return value
 
@@ -242,7 +242,8 @@ def _read_wanted(value: Any, what: str) -> Any:
         value = read_attitudes(value, what, (), False)
     read = read_prescribed(value, what, shape=(3, 3))
     if callable(read):
-        read_attitudes(read(SAMPLE_TIME), f"the value of {what} at t = {SAMPLE_TIME}", (), False)
+        t = sample_time_of(read)
+        read_attitudes(read(t), f"the value of {what} at t = {t:g}", (), False)
     return read
 
 

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
@@ -20,6 +19,7 @@ from coadjoint.systems.forces.body_torque import (
     tensor,
     to_body,
 )
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
@@ -72,7 +72,7 @@ class GravityGradient(BodyTorque):
 
     def __post_init__(self) -> None:
         self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
-        if not np.any(self.position(SAMPLE_TIME) if callable(self.position) else self.position):
+        if not np.any(self.position(sample_time_of(self.position)) if callable(self.position) else self.position):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
 
     def check(self, system: Any) -> None:
@@ -171,8 +171,8 @@ def read_magnetic_field(force: Any) -> None:
         force._read(B=read_prescribed)
     else:
         check_arguments(force.B, what, "t, r")
-        place = prescribed(force.position)(SAMPLE_TIME)
-        check_value(force.B, what, (3,), SAMPLE_TIME, np.asarray(place, dtype=np.float64))
+        t = sample_time_of(force.B, force.position)
+        check_value(force.B, what, (3,), t, np.asarray(prescribed(force.position)(t), dtype=np.float64))
     if force.position is not None and not callable(force.B):
         raise TypeError(f"position of {force.label} was given, but its field is constant; give a function of (t, r)")
 

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import momenta_of, rest_of
@@ -25,6 +24,7 @@ from coadjoint.systems.forces.base import (
     state_vector,
 )
 from coadjoint.systems.forces.torque import is_on_bodies, shapes_on, torque_vector
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_title
 
@@ -237,12 +237,12 @@ class OwnForce(Force):
         return self.backward
 
     def check(self, system: Any) -> None:
-        shape, failure = system.shape, ""
+        shape, failure, t = system.shape, "", sample_time_of(self.function)
         kinds = "fiuc" if system.has_matrices and system.complex else "fiu"
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
-                    moved, unmoved = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (DIFFERENCE_TIME, 0.0))
+                    moved, unmoved = (np.asarray(self.function(x, t, tau)) for tau in (DIFFERENCE_TIME, 0.0))
             except Exception as error:  # outside its domain a user function may raise anything
                 failure = in_one_line(str(error), 200)
                 continue

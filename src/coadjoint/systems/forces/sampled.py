@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
+from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
@@ -20,6 +20,7 @@ from coadjoint.systems.forces.angular_velocity import velocity_map
 from coadjoint.systems.forces.base import MEASURED, Force, ForceReader, SampleNoise, read_seed
 from coadjoint.systems.forces.body_torque import Pointing, check_one_body, cross, limited_by, read_limits
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, law_with_memory, sample_state
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.validation import read_finite, read_integer, read_positive, set_fields
 
 DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square
@@ -303,7 +304,7 @@ class Sampled(Force):
             return
         if getattr(self.law, "sees_attitude", False) and not self._measures:
             self.law.check(system)
-        torque = np.asarray(self.demand(system, x, SAMPLE_TIME))[:3]
+        torque = np.asarray(self.demand(system, x, sample_time_of(self)))[:3]
         if torque.shape != (3,):
             raise ValueError(f"the law of {self.label} returns {short(torque.tolist())}; it must return (3,)")
 
@@ -314,7 +315,9 @@ class Sampled(Force):
         size, first = self._memory_size, self._first_remembered(system)
         rule = f"give the torque, (3,), and the new memory, ({size},)"
         try:
-            torque, memory = self.law.values_with_memory(system, x, SAMPLE_TIME, x[first : first + size].copy())
+            torque, memory = self.law.values_with_memory(
+                system, x, sample_time_of(self), x[first : first + size].copy()
+            )
         except Exception as reason:  # functions of users raise anything
             failure = f"{type(reason).__name__}: {in_one_line(str(reason), 200)}"
             raise ValueError(f"the law of {self.label} fails at a sample point ({failure}); {rule}") from None

@@ -12,12 +12,12 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
+from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.systems.user_functions import (
     KNOWN_NAMES,
     check_arguments,
@@ -506,7 +506,9 @@ def _value_at_sample(torque: Callable[..., Any], arguments: str, system: Any) ->
     for sample in sample_states(system):
         try:
             with np.errstate(all="ignore"):
-                return torque(*_call_arguments(arguments, sample_state(sample, system), SAMPLE_TIME, system)), None
+                return torque(
+                    *_call_arguments(arguments, sample_state(sample, system), sample_time_of(torque), system)
+                ), None
         except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
             failure = in_one_line(str(reason), 200)
     return None, failure

@@ -1,0 +1,1 @@
+"""Files of attitudes: logs as tables, and those of CCSDS and SPICE."""
