@@ -51,21 +51,21 @@ def best(run):
 began = time.perf_counter()
 systems = [satellite() for _ in range(members)]
 x0 = np.array([one.state(angular_velocity=(0.01, -0.02, 0.005)) for one in systems])
-ready = co.prepare(co.batch(systems), co.Splitting(), 0.25)
+ready = co.prepare(co.batch(systems), co.Splitting(), 0.25, threads=1)
 prepared = time.perf_counter() - began
 orbit = 2.0 * np.pi / RATE
 span, options = (0.0, 0.25 * round(orbit / 0.25)), {"save_every": 240}
 began = time.perf_counter()
 ready.run(x0, span, **options)
 first = time.perf_counter() - began
-alone = co.prepare(systems[0], co.Splitting(), 0.25)
+alone = co.prepare(systems[0], co.Splitting(), 0.25, threads=1)
 alone.run(x0[0], span, **options)
 whole, one = [], []
 for _ in range(rounds):  # in turns
     began = time.perf_counter()
-    ready.run(x0, span, threads=1, **options)
+    ready.run(x0, span, **options)
     whole.append(time.perf_counter() - began)
-    one.append(best(lambda: alone.run(x0[0], span, threads=1, **options)))
+    one.append(best(lambda: alone.run(x0[0], span, **options)))
 print(json.dumps([prepared, first, min(whole) / members / min(one)]))
 """
 
