@@ -45,33 +45,39 @@ class FreeBody:
         self.half_step = co.stepper(body_of_moments, co.Splitting(parts="free_body"), model.opt.timestep / 2)
 
     def read(self, data):
-        """Return the attitude, the angular velocity in body axes, and position and velocity of the center of mass."""
-        A, w = matrix(data.qpos[self.place + 3 : self.place + 7]), data.qvel[self.dof + 3 : self.dof + 6].copy()
+        """Return the quaternion, the angular velocity in body axes, and position and velocity of the center of mass."""
+        q, w = data.qpos[self.place + 3 : self.place + 7].copy(), data.qvel[self.dof + 3 : self.dof + 6].copy()
+        A = matrix(q)
         position = data.qpos[self.place : self.place + 3] + A @ self.center
-        return A, w, position, data.qvel[self.dof : self.dof + 3] + A @ np.cross(w, self.center)
+        return q, w, position, data.qvel[self.dof : self.dof + 3] + A @ np.cross(w, self.center)
 
-    def write(self, data, A, w, position, velocity):
+    def write(self, data, q, w, position, velocity):
         """Store what `read` returns, as coordinates of the origin of the body."""
+        A = matrix(q)
         data.qpos[self.place : self.place + 3] = position - A @ self.center
-        mujoco.mju_mat2Quat(data.qpos[self.place + 3 : self.place + 7], A.ravel())
+        data.qpos[self.place + 3 : self.place + 7] = q
         data.qvel[self.dof : self.dof + 3] = velocity - A @ np.cross(w, self.center)
         data.qvel[self.dof + 3 : self.dof + 6] = w
 
     def turn(self, data):
-        """Turn by half a step; the principal axes are those of the momentum and of the attitude that turn."""
-        A, w, *center = self.read(data)
-        before = w @ self.axes
-        momentum, turned = self.half_step.both(self.moments * before, A @ self.axes)
-        # The change alone changes frames: rounding of the whole velocity there and back would add up.
+        """Turn by half a step, along the principal axes."""
+        q, w, *center = self.read(data)
+        before, turned = w @ self.axes, np.zeros(4)
+        momentum, rotation = self.half_step.both(self.moments * before)
+        # Only what changes goes to the principal axes and back: rounding of the whole would add up.
         w += self.axes @ (momentum / self.moments - before)
-        self.write(data, turned @ self.axes.T, w, *center)
+        mujoco.mju_mat2Quat(turned, rotation.ravel())
+        turned[1:] = self.axes @ turned[1:]
+        mujoco.mju_mulQuat(q, q.copy(), turned)
+        mujoco.mju_normalize4(q)
+        self.write(data, q, w, *center)
 
     def bias(self, data):
         """Return the force and the torque that MuJoCo subtracts for the motion of the body."""
-        A, w, *_ = self.read(data)
+        q, w, *_ = self.read(data)
         force = self.mass * np.cross(w, np.cross(w, self.center))
         gyroscopic = np.cross(w, self.axes @ (self.moments * (w @ self.axes)))
-        return np.concatenate([A @ force, np.cross(self.center, force) + gyroscopic])
+        return np.concatenate([matrix(q) @ force, np.cross(self.center, force) + gyroscopic])
 
 
 class ExactRotation:
@@ -105,11 +111,11 @@ class ExactRotation:
             mujoco.mj_step(self.model, data)
         finally:
             mujoco.set_mjcb_passive(None)
-        for body, (A, _, position, _) in zip(self.bodies, before, strict=True):
+        for body, (q, _, position, _) in zip(self.bodies, before, strict=True):
             # The new velocities belong to the attitude before `mj_step`, which has turned the body on.
             w = data.qvel[body.dof + 3 : body.dof + 6].copy()
-            velocity = data.qvel[body.dof : body.dof + 3] + A @ np.cross(w, body.center)
-            body.write(data, A, w, position + self.model.opt.timestep * velocity, velocity)
+            velocity = data.qvel[body.dof : body.dof + 3] + matrix(q) @ np.cross(w, body.center)
+            body.write(data, q, w, position + self.model.opt.timestep * velocity, velocity)
             body.turn(data)
 
 

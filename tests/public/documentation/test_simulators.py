@@ -68,12 +68,12 @@ class TestMuJoCo:
             data.qvel[:], data.xfrc_applied[1, 3:] = example.START, TORQUE
             (body,) = exact.bodies
             inertia = body.axes @ np.diag(body.moments) @ body.axes.T
-            A, w, position, velocity = body.read(data)
-            expected = under_torque(inertia, A, w)
+            q, w, position, velocity = body.read(data)
+            expected = under_torque(inertia, example.matrix(q), w)
             for _ in range(round(TIME / h)):
                 exact.step(data)
-            A, w, *center = body.read(data)
-            ends.append((A, A @ inertia @ w))
+            q, w, *center = body.read(data)
+            ends.append((example.matrix(q), example.matrix(q) @ inertia @ w))
             fall = position + TIME * velocity + TIME * (TIME + h) / 2 * gravity
             assert np.allclose(center, (fall, velocity + TIME * gravity), rtol=0, atol=1e-12)
         has_order_two(ends, expected, below=1e-3)
