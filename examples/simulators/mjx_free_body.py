@@ -39,11 +39,13 @@ def matrix(q):
 
 
 class ExactRotation:
-    """`mjx.step` of one free body, the first of the model, with the exact rotation."""
+    """`mjx.step` of a model of one free body, with the exact rotation."""
 
     def __init__(self, model):
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             raise ValueError("the integrator must be Euler: others evaluate forces also within the step")
+        if (model.nbody, model.nv, model.njnt) != (2, 6, 1) or model.dof_armature.any():
+            raise ValueError("the model must have one body, with a free joint without armature")
         axes = np.asarray(matrix(jnp.asarray(model.body_iquat[1])))
         self.inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T  # in body axes
         self.inverse, self.center, self.mass = np.linalg.inv(self.inertia), model.body_ipos[1], model.body_mass[1]

@@ -1,8 +1,8 @@
 """Free bodies of MuJoCo with the exact rotation: energy and angular momentum with it and without.
 
-Every body with a free joint and without children turns by the exact motion of the free body, half a step before
-``mj_step`` and half a step after it. In between MuJoCo applies forces, contacts and gravity: a callback cancels the
-gyroscopic term of these bodies, and the rotation by ``mj_step`` is undone, so that the exact one replaces it. Other
+Every body with a free joint, without children and armature, turns by the exact motion of the free body, half a step
+before ``mj_step`` and half a step after it. In between MuJoCo applies forces, contacts and gravity: a callback cancels
+the gyroscopic term of these bodies, and the rotation by ``mj_step`` is undone, so that the exact one replaces it. Other
 bodies are left to MuJoCo. It needs ``pip install mujoco coadjoint``; the figures of docs/simulators.md are those of
 MuJoCo 4.0.0.
 """
@@ -86,6 +86,9 @@ class ExactRotation:
     def __init__(self, model):
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             raise ValueError("the integrator must be Euler: others evaluate forces also within the step")
+        passive = int(mujoco.mjtDisableBit.mjDSBL_SPRING) | int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        if model.opt.disableflags & passive == passive:
+            raise ValueError("springs and dampers are both disabled: MuJoCo then skips the callback of passive forces")
         parents = set(model.body_parentid[1:])
         self.model = model
         self.bodies = [
@@ -94,6 +97,7 @@ class ExactRotation:
             if body not in parents
             and model.body_jntnum[body] == 1
             and model.jnt_type[model.body_jntadr[body]] == mujoco.mjtJoint.mjJNT_FREE
+            and not model.dof_armature[model.body_dofadr[body] :][:6].any()
         ]
 
     def cancel(self, model, data):

@@ -100,11 +100,22 @@ class TestMuJoCo:
                 assert np.allclose(data.qpos[7:], plain.qpos, rtol=0, atol=1e-12)
         assert abs(data.qvel[:6]).max() < 1e-2 and abs(data.qpos[2] - 0.1) < 1e-2
 
-    def test_other_integrators_are_refused(self, example):
-        model = example.mujoco.MjModel.from_xml_string(example.SCENE)
-        model.opt.integrator = example.mujoco.mjtIntegrator.mjINT_RK4
+    def test_what_would_be_wrong_is_refused(self, example):
+        """Forces within a step, and passive forces without the callback; an armature is left to MuJoCo."""
+        mujoco = example.mujoco
+        model = mujoco.MjModel.from_xml_string(example.SCENE)
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
         with pytest.raises(ValueError, match="Euler"):
             example.ExactRotation(model)
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        assert len(example.ExactRotation(model).bodies) == 1
+        flags = mujoco.mjtDisableBit
+        model.opt.disableflags = int(flags.mjDSBL_SPRING) | int(flags.mjDSBL_DAMPER)
+        with pytest.raises(ValueError, match="callback"):
+            example.ExactRotation(model)
+        model.opt.disableflags = int(flags.mjDSBL_SPRING)
+        model.dof_armature[:] = 0.1
+        assert not example.ExactRotation(model).bodies
 
 
 @pytest.mark.long
