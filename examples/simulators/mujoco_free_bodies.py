@@ -90,7 +90,7 @@ class ExactRotation:
         if model.opt.disableflags & passive == passive:
             raise ValueError("springs and dampers are both disabled: MuJoCo then skips the callback of passive forces")
         parents = set(model.body_parentid[1:])
-        self.model = model
+        self.model, self.other = model, None
         self.bodies = [
             FreeBody(model, body)
             for body in range(1, model.nbody)
@@ -102,6 +102,8 @@ class ExactRotation:
 
     def cancel(self, model, data):
         """Add to the passive forces what MuJoCo subtracts for the rotation of free bodies; a callback."""
+        if self.other is not None:
+            self.other(model, data)
         for body in self.bodies:
             data.qfrc_passive[body.dof : body.dof + 6] += body.bias(data)
 
@@ -110,11 +112,12 @@ class ExactRotation:
         for body in self.bodies:
             body.turn(data)
         before = [body.read(data) for body in self.bodies]
+        self.other = mujoco.get_mjcb_passive()  # the user's
         mujoco.set_mjcb_passive(self.cancel)
         try:
             mujoco.mj_step(self.model, data)
         finally:
-            mujoco.set_mjcb_passive(None)
+            mujoco.set_mjcb_passive(self.other)
         for body, (q, _, position, _) in zip(self.bodies, before, strict=True):
             # The new velocities belong to the attitude before `mj_step`, which has turned the body on.
             w = data.qvel[body.dof + 3 : body.dof + 6].copy()

@@ -61,17 +61,26 @@ class TestMuJoCo:
     def test_torques_and_gravity(self, example):
         """The center of mass falls as by the symplectic Euler method, though it is not the origin of the body."""
         mujoco, gravity, ends = example.mujoco, np.array([0.0, 0.0, -9.81]), []
+
+        def other_half(model, data):
+            mujoco.mj_applyFT(model, data, np.zeros(3), TORQUE / 2, np.zeros(3), 1, data.qfrc_passive)
+
         for h in KICKED:
             model = mujoco.MjModel.from_xml_string(example.SCENE)
             model.opt.timestep, model.opt.gravity[:] = h, gravity
             data, exact = mujoco.MjData(model), example.ExactRotation(model)
-            data.qvel[:], data.xfrc_applied[1, 3:] = example.START, TORQUE
+            data.qvel[:], data.xfrc_applied[1, 3:] = example.START, TORQUE / 2
             (body,) = exact.bodies
             inertia = body.axes @ np.diag(body.moments) @ body.axes.T
             q, w, position, velocity = body.read(data)
             expected = under_torque(inertia, example.matrix(q), w)
-            for _ in range(round(TIME / h)):
-                exact.step(data)
+            mujoco.set_mjcb_passive(other_half)  # a user's callback is called too, and stays
+            try:
+                for _ in range(round(TIME / h)):
+                    exact.step(data)
+                assert mujoco.get_mjcb_passive() is other_half
+            finally:
+                mujoco.set_mjcb_passive(None)
             q, w, *center = body.read(data)
             ends.append((example.matrix(q), example.matrix(q) @ inertia @ w))
             fall = position + TIME * velocity + TIME * (TIME + h) / 2 * gravity
