@@ -48,3 +48,21 @@ def compiled(monkeypatch):
 
     monkeypatch.setattr(numba, "cfunc", counting)
     return found
+
+
+@pytest.fixture
+def tables_built(monkeypatch):
+    """A list of an entry for each flow table or table of forces that is built for a loop."""
+    from coadjoint.methods.forced import Forced
+    from coadjoint.methods.protocol.flow_method import FlowMethod
+
+    built = []
+    for kind in (FlowMethod, Forced):
+        original = kind.compiled
+
+        def compiled(self, system, h, representation, original=original):
+            built.append(system)
+            return original(self, system, h, representation)
+
+        monkeypatch.setattr(kind, "compiled", compiled)
+    return built

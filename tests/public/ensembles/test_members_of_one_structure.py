@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.forced import Forced
-from coadjoint.methods.protocol.flow_method import FlowMethod
 
 STEP, SPAN = 1.0 / 64.0, (0.0, 0.5)
 METHODS = {
@@ -170,21 +168,6 @@ def test_memory_of_a_prepared_batch(case):
     tracemalloc.stop()
     assert prepared.system is systems
     assert used < bound * count and peak < 2 * bound * count, (used, peak)
-
-
-@pytest.fixture
-def tables_built(monkeypatch):
-    """A list of an entry for each flow table or table of forces that is built for a loop."""
-    built = []
-    for kind in (FlowMethod, Forced):
-        original = kind.compiled
-
-        def compiled(self, system, h, representation, original=original):
-            built.append(system)
-            return original(self, system, h, representation)
-
-        monkeypatch.setattr(kind, "compiled", compiled)
-    return built
 
 
 def satellites(count):
