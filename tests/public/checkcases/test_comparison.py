@@ -162,6 +162,15 @@ def test_each_mistake_is_found_and_nothing_else(mistake):
     assert len(likely) == 1 and MISTAKES[mistake] in likely[0], found.diagnosis
 
 
+@pytest.mark.parametrize("order, words", [((1, 2, 0), "wy, wz, wx"), ((2, 0, 1), "wz, wx, wy")])
+def test_axes_in_a_cycle_are_named_in_their_order(order, words):
+    """A cycle is not its own inverse, as an exchange of two axes is."""
+    case = case_of("free_body")
+    mine = case.reference()
+    found = case.compare(mine | {RATES[k]: mine[RATES[m]] for k, m in enumerate(order)})
+    assert f"wx, wy, wz hold {words}" in found.diagnosis[0], found.diagnosis
+
+
 def test_two_mistakes_are_found():
     case = case_of("free_body")
     mine = case.reference()
@@ -476,10 +485,35 @@ def test_names_of_others_are_understood_with_their_units():
         case.compare({"t": mine["t"], **several})
 
 
-def test_quaternions_of_other_norms_are_normalized_and_noted():
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    "column, unit, size",
+    [
+        ("wx", "rpm", 2 * math.pi / 60),
+        ("wx", "rev/s", 2 * math.pi),
+        ("wx", "Hz", 2 * math.pi),
+        ("wx", "deg/h", math.radians(1) / 3600),
+        ("t", "us", 1e-6),
+        ("t", "ns", 1e-9),
+        ("t", "ps", 1e-12),
+        ("t", "fs", 1e-15),
+        ("t", "min", 60),
+        ("t", "h", 3600),
+        ("t", "d", 86400),
+    ],
+)
+def test_units_have_their_sizes(column, unit, size):
     case = case_of("free_body")
     mine = case.reference()
-    found = case.compare(mine | {name: 1.5 * mine[name] for name in QUATERNION})
+    found = case.compare(mine | {column: mine[column] / size}, columns={column: f"{column}[{unit}]"})
+    assert found.passed and any(f"converted from {unit}" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("norm", [1.5, 0.5])
+def test_quaternions_of_other_norms_are_normalized_and_noted(norm):
+    case = case_of("free_body")
+    mine = case.reference()
+    found = case.compare(mine | {name: norm * mine[name] for name in QUATERNION})
     assert found.passed and any("normalized" in note and "0.5" in note for note in found.notes)
 
 

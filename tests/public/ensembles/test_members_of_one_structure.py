@@ -214,6 +214,14 @@ def test_bodies_and_forces_of_members_share_a_table(name, tables_built):
         assert_as_alone(systems, method, np.tile(state, (9, 1)), whole)
 
 
+def test_a_law_of_the_angular_velocity_that_members_share():
+    """One object, which is evaluated with the inertia of each member."""
+    law = co.forces.Torque(lambda omega: -0.25 * omega)
+    systems = [co.systems.body((1.0 + k / 8, 1.5, 2.0)).with_forces(law) for k in range(3)]
+    states = np.stack([one.state(angular_velocity=(0.3, -0.2, 0.1)) for one in systems])
+    assert_as_alone(systems, co.Splitting(order=2), states)
+
+
 def test_noise_of_members_at_temperatures_of_their_own(tables_built):
     """Each member has its stream: that of the member of this number in an ensemble at one temperature."""
     baths = [co.forces.HeatBath(alpha=0.1 + k / 64, temperature=0.1 + k / 32, seed=3) for k in range(5)]

@@ -50,6 +50,7 @@ CSV = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", CSV)
 def test_tables(tmp_path, case):
     text, options = CSV[case]
@@ -129,6 +130,7 @@ AEM = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", AEM)
 def test_messages(tmp_path, case):
     path = tmp_path / "attitude.txt"

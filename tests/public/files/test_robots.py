@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 import robots
-from robots import BUS, BY_MUJOCO, MJCF, SDF, URDF, entity, joint, link, mjcf, reference, sdf
+from robots import ARM, BUS, BY_MUJOCO, MJCF, SDF, URDF, entity, joint, link, mjcf, reference, sdf
 
 import coadjoint as co
 from refusals import refused
@@ -359,6 +359,29 @@ def test_a_closed_loop_of_sdf_is_read_as_it_is_written(tmp_path):
     assert co.bodies.read(path).mass == co.bodies.read(path, configuration={"j": 0.0}).mass == 14
     with refused(ValueError, str(path), "closed loop"):
         co.bodies.read(path, configuration={"j": 0.1})
+
+
+def test_the_reach_of_a_shape_is_from_the_centre_of_mass(tmp_path):
+    """A ball about the origin of a link, and its centre of mass one metre away: matter is within 1.5 m."""
+    path, ball = tmp_path / "robot.urdf", '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
+    at, limit = '<origin xyz="1 0 0"/>', 2 * 1.5**2
+    path.write_text(URDF_OF(link("a", 2, tuple(0.999 * limit * v for v in (1, 0, 0, 1, 0, 1)), at, ball)))
+    assert co.bodies.read(path).radius == 1.5
+    # About the centre of mass the same ball is too small.
+    path.write_text(path.read_text().replace("<collision>", f"<collision>{at}"))
+    with pytest.warns(UserWarning, match="ends at 0.5"):
+        co.bodies.read(path)
+
+
+def test_the_reach_of_links_is_known_if_that_of_each_is(tmp_path):
+    path, box = tmp_path / "robot.urdf", '<visual><geometry><box size="2 2 1"/></geometry></visual>'
+    arm = link("arm", 12, ARM, '<origin xyz="0.1 0 0.8"/>', box)
+    path.write_text(URDF_OF(link("bus", 12, BUS, '<origin xyz="0.1 0 -0.2"/>', box) + arm + joint("fixed")))
+    links = [co.bodies.read(path, link=name) for name in ("bus", "arm")]
+    assert co.bodies.read(path).radius == pytest.approx(0.5 + max(one.radius for one in links), rel=1e-15)
+    path.write_text(URDF_OF(robots.TWO[0] + arm + joint("fixed")))
+    assert co.bodies.read(path, link="arm").radius == links[1].radius
+    assert co.bodies.read(path).radius is None
 
 
 # In systems.
