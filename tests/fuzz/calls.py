@@ -46,11 +46,24 @@ ROBOT = pathlib.Path(FOLDER.name, "robot.urdf")
 INERTIAL = '<mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/>'
 ROBOT.write_text(f'<robot name="r"><link name="a"><inertial>{INERTIAL}</inertial></link></robot>', encoding="utf-8")
 
+ORBIT = co.orbits.circular(7e6, epoch="2024-01-01")
+LOG = co.attitudes.AttitudeLog([0.0, 1.0], np.stack([EYE, EYE]))
+LOGGED, EPHEMERIS = pathlib.Path(FOLDER.name, "log.csv"), pathlib.Path(FOLDER.name, "orbit.oem")
+co.attitudes.write(LOGGED, LOG)
+EPHEMERIS.write_text(
+    "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2024-01-01T00:00:00\nORIGINATOR = ME\nMETA_START\nOBJECT_NAME = A\n"
+    "OBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = EME2000\nTIME_SYSTEM = UTC\nSTART_TIME = 2024-01-01T00:00:00\n"
+    "STOP_TIME = 2024-01-01T00:02:00\nMETA_STOP\n"
+    + "".join(f"2024-01-01T00:0{k}:00 7000.0 {450 * k} 0.0 0.0 7.5 0.0\n" for k in range(3)),
+    encoding="utf-8",
+)
 SAMPLES = pathlib.Path(FOLDER.name, "samples.csv")
 ROD = co.checkcases.get("rod", samples=5)
 ROD.write(SAMPLES)
 
 OBJECTS = {
+    "AttitudeLog": LOG,
+    "Orbit": ORBIT,
     "CheckCase": ROD,
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
     "Corrector": co.make_corrector(BODY, co.Splitting(), X),
@@ -157,6 +170,18 @@ OWN = {
     "co.frequencies": {"count": 1},
     **{f"co.{name}": {"step": 0.1} for name in ("integrate", "poincare_section", "prepare")},
     "co.methods.get": {"name": "Taylor"},
+    "co.attitudes.AttitudeLog": {"t": [0.0, 1.0], "rotation": [EYE, EYE]},
+    "co.attitudes.read": {"path": LOGGED},
+    "co.attitudes.write": {"path": LOGGED.with_name("other.tum"), "log": LOG},
+    "co.orbits.Orbit": {"position": ORBIT.position, "velocity": ORBIT.velocity},
+    "co.orbits.Planet": {"mu": 1.0},
+    "co.orbits.circular": {"radius": 7e6},
+    "co.orbits.kepler": {"semi_major_axis": 7e6},
+    "co.orbits.from_samples": {"t": TIMES[:12], "position": np.stack([np.cos(TIMES), np.sin(TIMES), TIMES], 1)[:12]},
+    "co.orbits.from_tle": {"lines": co.orbits.from_tle.__doc__, "t_span": (0.0, 600.0)},
+    "co.orbits.igrf": {"orbit": ORBIT, "t_span": (0.0, 600.0)},
+    "co.orbits.read_oem": {"path": EPHEMERIS},
+    "co.orbits.tilted_dipole": {"orbit": ORBIT},
     "co.checkcases.get": {"name": "rod"},
     "co.checkcases.read_table": {"path": SAMPLES},
     "CheckCase.compare": {"samples": SAMPLES},
@@ -179,7 +204,7 @@ OWN = {
 # does not check them again, or lower calls whose states have been checked.
 LEFT_OUT = re.compile(
     r"\.(plot|movie)\(|co\.plotting\.|co\.torch|co\.jax|workers|co\.methods\.(Coeff|Oper|Sweep|Work|begin|iterate|regis|"
-    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|checkcases|spectra)\.[A-Z]|describe_to|"
+    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|checkcases|spectra)\.[A-Z]|co\.orbits\.(Epoch|OrbitStates)|describe_to|"
     r"Force\.(flow|check|field)|hamiltonian_field|co\.System\(|"
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"

@@ -82,6 +82,7 @@ class OrbitStates(NamedTuple):
     velocity: Floats
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Orbit:
     """An orbit: functions of the time, in seconds or the unit of the planet, that forces on satellites take.
