@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from math import inf
-from typing import Any
+from typing import Any, NoReturn
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -17,7 +17,7 @@ Span = tuple[float, float]
 ALWAYS: Span = (-inf, inf)
 SLACK = 64 * UNIT_ROUNDOFF
 """Rounding of times at the ends of a span, relative to the larger one."""
-OUTSIDE = "the time is outside of the span in which the orbit is known"
+OUTSIDE = "outside of the span in which the orbit is known"
 MAX_FUNCTIONS = 1000  # that are followed; those of a force are about ten
 
 
@@ -32,13 +32,18 @@ def slack_of(span: Span) -> float:
     return SLACK * max(abs(span[0]), abs(span[1]))
 
 
+def refuse_time(t: Any, first: Any, last: Any) -> NoReturn:
+    """Raise ValueError for a time outside of a span; compiled code has another one, without numbers in its text."""
+    raise ValueError(f"t = {t:.10g} is {OUTSIDE}, from t = {first:.10g} to {last:.10g}")
+
+
 def limited(function: Callable[..., Any], span: Span) -> Any:
     """Return a function of the time that raises a ValueError outside of a span."""
     (first, last), slack = span, slack_of(span)
 
     def within(t: Any) -> Any:
         if not (first - slack <= t <= last + slack):
-            raise ValueError(OUTSIDE)
+            refuse_time(t, first, last)
         return function(t)
 
     return known_in(within, span)

@@ -28,6 +28,7 @@ def rows(quaternions, *others, t=T):
 
 W_FIRST = X[:, [3, 0, 1, 2]]
 RATED = [[t, *w, *q] for t, w, q in zip(T.tolist(), OMEGA.tolist(), W_FIRST.tolist(), strict=True)]
+IN_DEGREES = [[t, *np.degrees(w).tolist(), *q] for t, w, q in zip(T.tolist(), OMEGA, W_FIRST.tolist(), strict=True)]
 DATES = [[f"2026-03-01T12:00:{t:06.3f}", *q] for t, q in zip(T.tolist(), W_FIRST.tolist(), strict=True)]
 CSV = {
     "named": (table(rows(W_FIRST), "t,qw,qx,qy,qz"), {}),
@@ -43,8 +44,13 @@ CSV = {
     "tabs": (table(rows(W_FIRST), "t\tqw\tqx\tqy\tqz", "\t"), {}),
     "names in a comment": (table(rows(W_FIRST), comment="#t,qw,qx,qy,qz"), {}),
     "rates": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {"rates": "rad/s"}),
+    "rates with a unit": (table(RATED, "t,wx [rad/s],wy [rad/s],wz [rad/s],qw,qx,qy,qz"), {}),
+    "rates with an ending": (table(RATED, "t_s,p_rad_s,q_rad_s,r_rad_s,qw,qx,qy,qz"), {"rates": "rad/s"}),
+    "rates in degrees": (table(IN_DEGREES, "t,wx_dps,wy_dps,wz_dps,qw,qx,qy,qz"), {}),
+    "rates that are left": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {"rates": False}),
     "space to body": (table(rows(TURNED.inv().as_quat()), "t,qx,qy,qz,qw"), {"direction": "space to body"}),
     "nanoseconds": (table(rows(X, t=1e9 * T), "timestamp [ns],qx,qy,qz,qw"), {"time_unit": "ns"}),
+    "milliseconds": (table(rows(X, t=1e3 * T), "t_ms,qx,qy,qz,qw"), {"time_unit": "ms"}),
     "dates": (table(DATES, "date,qw,qx,qy,qz"), {"time_system": "TAI"}),
     "signs": (table(rows(W_FIRST * np.array([1.0, -1.0] * 4 + [1.0])[:, None]), "t,qw,qx,qy,qz"), {}),
 }
@@ -58,9 +64,11 @@ def test_tables(tmp_path, case):
     path.write_text(text)
     log = A.read(path, **options)
     assert (log.rotation * TURNED.inv()).magnitude().max() < CLOSE and np.abs(log.t - T).max() < 1e-12
-    assert (log.angular_velocity is not None) == (case == "rates")
-    if case == "rates":
+    rated = "rates" in case and options.get("rates") is not False
+    assert (log.angular_velocity is not None) == rated
+    if rated:
         assert np.abs(log.angular_velocity - OMEGA).max() < 1e-9
+    if case == "rates":
         degrees = A.read(path, rates="deg/s").angular_velocity
         assert np.abs(np.degrees(degrees) - OMEGA).max() < 1e-9
     if case == "dates":
@@ -160,7 +168,7 @@ def test_round_trips(tmp_path, suffix, rates):
     path = tmp_path / f"log{suffix}"
     for _ in range(2):  # it is replaced
         A.write(path, log, object_name="SAT")
-    again = A.read(path, **({"rates": "rad/s"} if suffix == ".csv" and rates is not None else {}))
+    again = A.read(path)
     assert (again.rotation * TURNED.inv()).magnitude().max() < 1e-15
     shift = again.t[0] + 0.3
     assert np.abs(again.t - shift - (T - 0.3)).max() < 1e-9
@@ -169,6 +177,9 @@ def test_round_trips(tmp_path, suffix, rates):
         assert again.frame == "J2000"
     if rates is not None and suffix != ".tum":
         assert np.abs(again.angular_velocity - rates).max() < 1e-15
+    if rates is not None and suffix == ".csv":
+        with refused(ValueError, "deg/s", "rad/s"):
+            A.read(path, rates="deg/s")
     assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
@@ -271,6 +282,15 @@ WRONG = {
     "zero": (table([*rows(X), [9.0, 0, 0, 0, 0]], "t,qx,qy,qz,qw"), {}, ("line 11", "unit")),
     "times": (table([*rows(X), [1.0, 0, 0, 0, 1]], "t,qx,qy,qz,qw"), {}, ("line 11", "ascend")),
     "a unit": (table(rows(X), "t [ms],qx,qy,qz,qw"), {}, ("ms", "time_unit")),
+    "a unit at the end": (table(rows(X), "t_ms,qx,qy,qz,qw"), {"time_unit": "us"}, ("ms", "us", "time_unit")),
+    "rates without a unit": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {}, ("'wx'", "rates='rad/s'", "rates=False")),
+    "rates in two units": (table(RATED, "t,wx [deg/s],wy [rad/s],wz,qw,qx,qy,qz"), {}, ("deg/s", "rad/s", "wz")),
+    "rates in turns": (table(RATED, "t,wx [rpm],wy [rpm],wz [rpm],qw,qx,qy,qz"), {"rates": "rad/s"}, ("rpm", "wx")),
+    "other rates": (
+        table(RATED, "t,wx [deg/s],wy [deg/s],wz [deg/s],qw,qx,qy,qz"),
+        {"rates": "rad/s"},
+        ("deg/s", "rad/s"),
+    ),
     "no rates": (table(rows(X), "t,qx,qy,qz,qw"), {"rates": "rad/s"}, ("wx",)),
     "a unit of rates": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {"rates": "rpm"}, ("rpm",)),
     "a direction": (table(rows(X), "t,qx,qy,qz,qw"), {"direction": "inverse"}, ("inverse", "direction")),

@@ -291,6 +291,62 @@ def test_arguments_are_refused(tmp_path, arguments, error, named):
         co.bodies.read(path, **arguments)
 
 
+def limited_urdf(kind, limit):
+    return URDF_OF("".join(robots.TWO) + joint(kind, more=limit))
+
+
+def limited_sdf(kind, limit):
+    return sdf(
+        f'<model name="m">{robots.SDF_BUS}{robots.SDF_ARM}{robots.moving(kind, f"<xyz>0 0 1</xyz>{limit}")}</model>'
+    )
+
+
+def limited_mjcf(text):
+    return mjcf(f'<body name="a"><joint name="j" {text}/><inertial pos="1 0 0" {robots.PLAIN}/></body>')
+
+
+UPPER, SDF_UPPER = '<limit lower="-0.5" upper="2"/>', "<limit><lower>-0.5</lower><upper> 2 </upper></limit>"
+FOLLOWER = (
+    "".join(robots.TWO)
+    + link("led", 1, BUS)
+    + joint("revolute", name="led", child="led")
+    + joint("revolute", more=f'<mimic joint="led" multiplier="3"/>{UPPER}')
+)
+LIMITED = {
+    "revolute": (".urdf", limited_urdf("revolute", UPPER), (-0.5, 0.0, 2.0), (-0.6, 3.0)),
+    "prismatic": (".urdf", limited_urdf("prismatic", UPPER), (2.0,), (2.01,)),
+    "one is written": (".urdf", limited_urdf("revolute", '<limit upper="2"/>'), (0.0, 2.0), (-0.1, 3.0)),
+    "none is written": (".urdf", limited_urdf("revolute", '<limit effort="1" velocity="1"/>'), (-9.0, 9.0), ()),
+    "continuous": (".urdf", limited_urdf("continuous", UPPER), (-9.0, 9.0), ()),
+    "zero is beyond": (".urdf", limited_urdf("revolute", '<limit lower="1" upper="2"/>'), (None, 1.0), (0.0,)),
+    "a joint that follows": (".urdf", URDF_OF(FOLLOWER), (None, 2.0 / 3.0), (1.0, -0.2)),
+    "SDF": (".sdf", limited_sdf("revolute", SDF_UPPER), (-0.5, 2.0), (-0.6, 3.0)),
+    "SDF, infinite": (".sdf", limited_sdf("revolute", SDF_UPPER.replace("-0.5", "-inf")), (-9.0,), (3.0,)),
+    "SDF, upper alone": (".sdf", limited_sdf("prismatic", "<limit><upper>2</upper></limit>"), (-9.0,), (3.0,)),
+    "SDF, continuous": (".sdf", limited_sdf("continuous", SDF_UPPER), (-9.0, 9.0), ()),
+    "MJCF": (".xml", limited_mjcf('range="-90 90"'), (-np.pi / 2, np.pi / 2), (1.6, -1.6)),
+    "MJCF, a reference": (".xml", limited_mjcf('range="0 90" ref="30"'), (None, 0.0, np.pi / 2), (1.6, -0.1)),
+    "MJCF, unlimited": (".xml", limited_mjcf('range="-90 90" limited="false"'), (9.0,), ()),
+    "MJCF, slider": (".xml", limited_mjcf('type="slide" range="-0.5 2"'), (2.0,), (3.0,)),
+}
+
+
+@pytest.mark.parametrize("case", LIMITED)
+def test_positions_beyond_limits_are_refused(tmp_path, case):
+    """Also of a joint that follows; a position that was not given is that of the file."""
+    suffix, text, within, beyond = LIMITED[case]
+    if suffix == ".xml" and not MUJOCO:
+        pytest.skip("mujoco is not installed")
+    path = tmp_path / f"robot{suffix}"
+    path.write_text(text)
+    moved = "led" if case == "a joint that follows" else "j"
+    for position in within:
+        co.bodies.read(path, configuration=None if position is None else {moved: position})
+    for position in beyond:
+        with refused(ValueError, path.name, f"configuration['{moved}'] is {position:g}", "'j'", "limits this joint"):
+            co.bodies.read(path, configuration={moved: position})
+
+
 @pytest.mark.parametrize(
     "name, named", [("a.step", "suffix"), ("a.usd", "suffix"), ("a.xacro", "xacro"), ("a.udrf", ".urdf"), ("a", "''")]
 )

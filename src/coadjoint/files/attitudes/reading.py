@@ -28,7 +28,7 @@ def read(
     attitude: str | None = None,
     direction: str = "body to space",
     time_unit: str = "s",
-    rates: str | None = None,
+    rates: str | bool | None = None,
     time_system: str = "UTC",
     segment: int | None = None,
 ) -> AttitudeLog:
@@ -46,10 +46,12 @@ def read(
         What the quaternions of a CSV or TUM file turn: by default the components of a vector in the body into those in
         space. An AEM says it itself.
     time_unit : {"s", "ms", "us", "ns"}
-        Unit of times that are numbers; times may also be dates.
-    rates : {"rad/s", "deg/s"}, optional
-        Unit of the columns ``wx, wy, wz`` of a CSV file, the angular velocity in the body frame; by default they are
-        not read.
+        Unit of times that are numbers; times may also be dates. A unit in the name of the column, as in ``t [ms]`` or
+        ``t_ms``, must be the same.
+    rates : {"rad/s", "deg/s", False}, optional
+        Unit of the columns ``wx, wy, wz`` of a CSV file, the angular velocity in the body frame. It is needed if it is
+        not in their names, as in ``wx [deg/s]`` or ``wx_deg_s``, nor in the comment that `write` makes. With False
+        they are not read.
     time_system : {"UTC", "UT1", "TAI", "GPS", "TT", "TDB"}
         That of dates in a CSV file.
     segment : int, optional
@@ -64,7 +66,7 @@ def read(
     ------
     ValueError, TypeError
         A file that cannot be read, with its line; a quaternion whose order is not known, or that is not of length 1;
-        times that do not ascend.
+        rates whose unit is not known; units that contradict each other; times that do not ascend.
 
     Notes
     -----
@@ -92,7 +94,7 @@ def read(
     if segment is not None:
         raise ValueError(f"segment is {short(segment)}, and a table has none; leave it out")
     if kind == "tum":
-        if rates is not None:
+        if rates not in (None, False):
             raise ValueError("rates was given, and the format TUM has none; leave it out")
         return log_of_tum(file, lines, attitude, direction, time_unit)
     return log_of_table(file, lines, attitude, direction, time_unit, rates, time_system)

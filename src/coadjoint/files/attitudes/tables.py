@@ -26,6 +26,20 @@ NAMED = (("qx", "qy", "qz", "qw"), ("x", "y", "z", "w"), ("q_x", "q_y", "q_z", "
 NUMBERED = ("q0", "q1", "q2", "q3"), ("q1", "q2", "q3", "q4")
 RATES = ("wx", "wy", "wz"), ("omega_x", "omega_y", "omega_z"), ("p", "q", "r"), ("gx", "gy", "gz")
 UNIT = re.compile(r"\s*[\[(](.*)[\])]\s*$")
+SPELLINGS = {
+    "s": ("s", "sec", "seconds"),
+    "ms": ("ms", "msec"),
+    "us": ("us", "usec", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s"),
+    "ns": ("ns", "nsec"),
+    "rad/s": ("rad/s", "rad/sec", "rad_s", "rad_sec", "rad_per_s", "rad_per_sec", "radps"),
+    "deg/s": ("deg/s", "deg/sec", "deg_s", "deg_sec", "deg_per_s", "deg_per_sec", "degps", "dps", "\N{DEGREE SIGN}/s"),
+}
+"""Units as they are written in the brackets or at the end of a name."""
+UNITS = {text: unit for unit, texts in SPELLINGS.items() for text in texts}
+SUFFIXED = {**dict.fromkeys(TIMES, TIME_UNITS), **dict.fromkeys((name for one in RATES for name in one), RATE_UNITS)}
+"""Names that may end with a unit, as in t_ms, and the units of each."""
+RATES_NOTE = "# angular velocity in the body frame, "
+"""Comment before the unit of the rates, in files that are written here."""
 TUM = "timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"
 ADVICE = "give attitude='wxyz' if the scalar part is the first one, and attitude='xyzw' if it is the last"
 
@@ -64,15 +78,13 @@ def log_of_table(
     t, epoch = _times(texts, places, units.get(of_time, ""), time_unit, time_system)
     ascending(t, lambda k: places[k])
     numbers = np.array([numbers_of([row[k] for k in columns], place) for row, place in zip(cells, places, strict=True)])
-    omega = None
-    if rates is not None:
-        factor = RATE_UNITS[read_choice(rates, "rates", RATE_UNITS)]
-        known = next((one for one in RATES if {*one} <= {*names}), None)
-        if known is None:
-            raise ValueError(f"{file} has no columns {', '.join(RATES[0])} of rates; leave rates= out")
-        where = [names.index(one) for one in known]
-        omega = factor * np.array(
-            [numbers_of([row[k] for k in where], p) for row, p in zip(cells, places, strict=True)]
+    omega, of_rates = None, _rate_columns(file, names, rates)
+    if of_rates:
+        known = {k: units.get(k, "") for k in of_rates}
+        noted = {line.text.removeprefix(RATES_NOTE) for line in comments if line.text.startswith(RATES_NOTE)}
+        unit = _rate_unit(file, [header[k].strip() for k in of_rates], {*known.values()}, noted, rates)
+        omega = RATE_UNITS[unit] * np.array(
+            [numbers_of([row[k] for k in of_rates], p) for row, p in zip(cells, places, strict=True)]
         )
     return AttitudeLog(t, turned(rotations_of(numbers, lambda k: places[k]), direction), omega, epoch=epoch)
 
@@ -114,7 +126,7 @@ def table_text(log: AttitudeLog, tum: bool) -> str:
     names = ["t", *([] if omega is None else RATES[0]), "qw", "qx", "qy", "qz"]
     known = [f"# attitude from the body, {log.body}, to space{f', {log.frame}' if log.frame else ''}; t in seconds"]
     if omega is not None:
-        known.append("# angular velocity in the body frame, rad/s")
+        known.append(f"{RATES_NOTE}rad/s")
     if log.epoch:
         known.append(f"# t = 0 at {log.epoch}")
     rows = [",".join(map(repr, row)) for row in np.stack(columns, axis=1).tolist()]
@@ -137,14 +149,51 @@ def _is_number(text: str) -> bool:
 
 
 def _names_and_units(header: Sequence[str]) -> tuple[list[str], dict[int, str]]:
-    """Return the names of columns in small letters without their units, and the units."""
+    """Return the names of columns in small letters without their units, in brackets or at the end, and the units."""
     names, units = [], {}
     for k, title in enumerate(header):
         unit = UNIT.search(title)
         if unit:
-            units[k] = unit.group(1).strip()
+            written = unit.group(1).strip()
+            units[k] = UNITS.get(written.lower(), written)
         names.append(UNIT.sub("", title).strip().lower())
+    for k, name in enumerate(names):
+        for bare, known in SUFFIXED.items():
+            ending = name.removeprefix(f"{bare}_")
+            if k not in units and ending != name and UNITS.get(ending) in known and bare not in names:
+                names[k], units[k] = bare, UNITS[ending]
     return names, units
+
+
+def _rate_columns(file: Path, names: Sequence[str], rates: Any) -> list[int]:
+    """Return the columns of rates that are read; ValueError if there are none and `rates` says their unit."""
+    if rates is False:
+        return []
+    known = next((one for one in RATES if {*one} <= {*names}), ())
+    if rates is not None and not known:
+        read_choice(rates, "rates", RATE_UNITS)
+        raise ValueError(f"{file} has no columns {', '.join(RATES[0])} of rates; leave rates= out")
+    return [names.index(one) for one in known]
+
+
+def _rate_unit(file: Path, titles: Sequence[str], written: set[str], noted: set[str], rates: Any) -> str:
+    """Return the unit of rates, by the names of their columns, a comment or `rates`, which agree; else ValueError."""
+    given = set() if rates is None else {read_choice(rates, "rates", RATE_UNITS)}
+    listed, stated = ", ".join(map(short, titles)), (written | noted) - {""}
+    if len(written) > 1 or len(stated) > 1 or not stated <= RATE_UNITS.keys():
+        raise ValueError(
+            f"{file}: the rates {listed} have the units {', '.join(sorted(map(short, written | noted)))}; correct them "
+            "to rad/s or deg/s, or give rates=False to leave them"
+        )
+    if given and stated and given != stated:
+        raise ValueError(
+            f"{file}: rates is {short(rates)}, and the file has {listed} in {', '.join(stated)}; give that"
+        )
+    if not given | stated:
+        raise ValueError(
+            f"{file} has rates {listed} without a unit; give rates='rad/s' or 'deg/s', or rates=False to leave them"
+        )
+    return next(iter(given | stated))
 
 
 def _quaternion_columns(file: Path, names: Sequence[str], width: int, attitude: Any) -> list[int]:

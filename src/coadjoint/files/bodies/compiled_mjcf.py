@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from coadjoint.files.bodies.linkages import SLIDING, TURNING, UNITS, Joint, Link, Linkage
+from coadjoint.files.bodies.linkages import SLIDING, TURNING, UNITS, UNLIMITED, Joint, Link, Linkage
 from coadjoint.files.bodies.poses import by_quaternion
 from coadjoint.files.bodies.regular_content import content_of
 from coadjoint.files.bodies.xml_elements import Element
@@ -73,8 +73,9 @@ def linkage_by_mujoco(root: Element, path: Path) -> Linkage:
         kind = kinds[int(model.jnt_type[k])]
         if kind in (TURNING, SLIDING):
             zero = float(model.qpos0[model.jnt_qposadr[k]])
+        limits = (float(model.jnt_range[k, 0]), float(model.jnt_range[k, 1])) if model.jnt_limited[k] else UNLIMITED
         name = name_of(mujoco.mjtObj.mjOBJ_JOINT, k, "joint")
-        joints[name] = Joint(kind, names[model.body_parentid[body]], names[body], anchor, axis, zero)
+        joints[name] = Joint(kind, names[model.body_parentid[body]], names[body], anchor, axis, zero, limits=limits)
     if not links:
         root.refuse("has no <body>")
     return Linkage(root.file, links, joints, "frame of the world")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from coadjoint.errors import unknown_name
 from coadjoint.files.bodies.poses import about_axis
 from coadjoint.files.bodies.xml_elements import Element
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.mass_properties import MassProperties, Pose, composed, identity_pose, placed, turned
 from coadjoint.validation import read_number
@@ -23,6 +24,9 @@ UNITS = "kg, m"
 TURNING, SLIDING, FIXED = "turning", "sliding", "fixed"
 MOVING = (TURNING, SLIDING)
 """Kinds of joints that have a position; joints of another kind have the name of the format."""
+UNLIMITED = (-np.inf, np.inf)
+SLACK = 64 * UNIT_ROUNDOFF
+"""Rounding of positions at limits, relative to these."""
 
 
 class Link(NamedTuple):
@@ -45,6 +49,7 @@ class Joint(NamedTuple):
     zero: float = 0.0
     mimicked: tuple[str, float, float] | None = None
     """Joint that it follows, with factor and offset."""
+    limits: tuple[float, float] = UNLIMITED
 
     def motion(self, position: float) -> Pose:
         """Return the motion from zero to a position, in the frame of the file at zero."""
@@ -114,7 +119,22 @@ class Linkage(NamedTuple):
                 if other not in self.joints or self.joints[other].mimicked is not None:
                     raise ValueError(f"{self.file}: the joint {short(name)} mimics {short(other)}, which does not move")
                 positions[name] = factor * positions[other] + offset
+        for name, joint in self.joints.items():
+            leader = name if joint.mimicked is None else joint.mimicked[0]
+            if leader in given and joint.kind in MOVING:  # positions by default are those of the file
+                self._check_limits(name, leader, positions[name], given[leader])
         return positions
+
+    def _check_limits(self, name: str, leader: str, position: float, given: float) -> None:
+        """Raise ValueError for the position of a joint, that of `leader` or of one that follows it, beyond limits."""
+        lower, upper = self.joints[name].limits
+        if not lower - SLACK * abs(lower) <= position <= upper + SLACK * abs(upper):
+            unit = "m" if self.joints[name].kind == SLIDING else "radians"
+            put = f", which puts the joint {short(name)} at {position:.10g}," if name != leader else ""
+            raise ValueError(
+                f"configuration[{short(leader)}] is {given:.10g}{put} and {self.file} limits this joint to "
+                f"{lower:.10g} to {upper:.10g} {unit}; give a position within, or correct the limits in the file"
+            )
 
     def _motions(self, positions: Mapping[str, float]) -> dict[str, Pose]:
         """Return the motion of each link from zero, in the frame of the file."""

@@ -65,7 +65,8 @@ def read(
         of the model (SDF) or of the world (MJCF).
     configuration : mapping, optional
         Positions of joints by name (radians, or metres of a sliding joint); others are at zero, or of MJCF at their
-        reference. Only without `link`.
+        reference. Only without `link`. A position
+        beyond the limits of its joint is refused, unless the joint is continuous.
     scale : float, optional
         Length of the unit of a mesh, such as 0.001 for millimetres and results in metres. Needed for OBJ, STL and PLY,
         which have no unit; glTF is in metres.
@@ -88,7 +89,8 @@ def read(
     TypeError, ValueError
         Unknown names, or a file that is refused, with its name, line and element: XML with a document type, numbers
         that are none, zero mass, a tensor that no body has, elements that simulators complete by themselves; a surface
-        that is open, turned inside out or inside another one; arguments that belong to another format.
+        that is open, turned inside out or inside another one; positions beyond the limits of joints; arguments that
+        belong to another format.
     MissingPackageError
         A mesh without ``trimesh``.
 

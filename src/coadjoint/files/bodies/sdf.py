@@ -9,7 +9,17 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.files.bodies.linkages import FIXED, SLIDING, TURNING, Joint, Link, Linkage, Shapes, link_properties
+from coadjoint.files.bodies.linkages import (
+    FIXED,
+    SLIDING,
+    TURNING,
+    UNLIMITED,
+    Joint,
+    Link,
+    Linkage,
+    Shapes,
+    link_properties,
+)
 from coadjoint.files.bodies.poses import by_quaternion, by_roll_pitch_yaw
 from coadjoint.files.bodies.urdf import ENTRIES, tensor_of
 from coadjoint.files.bodies.xml_elements import Element
@@ -21,6 +31,7 @@ Floats = npt.NDArray[np.float64]
 KINDS = {"revolute": TURNING, "continuous": TURNING, "prismatic": SLIDING, "fixed": FIXED}
 OTHER_KINDS = ("ball", "universal", "revolute2", "screw", "gearbox")
 MODEL = "__model__"
+INFINITE = {"inf": math.inf, "+inf": math.inf, "-inf": -math.inf}
 OLD_AXES = (1, 4)
 """Last version of SDF whose axes of joints are in the frame of the model."""
 
@@ -207,7 +218,7 @@ def _joint(scope: _Scope, name: str, version: tuple[int, ...]) -> Joint:
     parent = joint.needed("parent").text.strip()
     child = _link_of(scope, scope.resolved(child_of(joint), prefix, joint))
     above = "world" if parent == "world" else _link_of(scope, scope.resolved(parent, prefix, joint))
-    pose, direction, followed = scope.pose(name), np.array([0.0, 0.0, 1.0]), None
+    pose, direction, followed, limits = scope.pose(name), np.array([0.0, 0.0, 1.0]), None, UNLIMITED
     axis = joint.one("axis")
     if KINDS.get(kind, FIXED) != FIXED and axis is not None:
         xyz, old = axis.one("xyz"), axis.one("use_parent_model_frame")
@@ -222,9 +233,27 @@ def _joint(scope: _Scope, name: str, version: tuple[int, ...]) -> Joint:
             if not direction.any():
                 xyz.refuse("has an axis of length zero")
         followed = _followed(axis.one("mimic"), prefix)
+        if kind != "continuous":
+            limits = _limits(axis.one("limit"))
     return Joint(
-        KINDS.get(kind, kind), above, child, pose.position, turned(pose.rotation, direction), mimicked=followed
+        KINDS.get(kind, kind),
+        above,
+        child,
+        pose.position,
+        turned(pose.rotation, direction),
+        mimicked=followed,
+        limits=limits,
     )
+
+
+def _limits(limit: Element | None) -> tuple[float, float]:
+    """Return the lower and upper limit of an axis, which are infinite by default, and where the file says it."""
+    entries = [None if limit is None else limit.one(key) for key in ("lower", "upper")]
+    lower, upper = (
+        default if entry is None else INFINITE.get(entry.text.strip().lower()) or entry.content(1)[0]
+        for entry, default in zip(entries, UNLIMITED, strict=True)
+    )
+    return lower, upper
 
 
 def _followed(mimic: Element | None, prefix: str) -> tuple[str, float, float] | None:

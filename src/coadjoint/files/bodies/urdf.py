@@ -9,7 +9,17 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.files.bodies.linkages import FIXED, SLIDING, TURNING, Joint, Link, Linkage, Shapes, link_properties
+from coadjoint.files.bodies.linkages import (
+    FIXED,
+    SLIDING,
+    TURNING,
+    UNLIMITED,
+    Joint,
+    Link,
+    Linkage,
+    Shapes,
+    link_properties,
+)
 from coadjoint.files.bodies.poses import by_quaternion, by_roll_pitch_yaw
 from coadjoint.files.bodies.xml_elements import Element
 from coadjoint.short_repr import short
@@ -154,4 +164,19 @@ def _joint(joint: Element, pose: Pose) -> Joint:
     followed = None
     if mimic is not None:
         followed = mimic.attribute("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
-    return Joint(KINDS[kind], parent, child, pose.position, turned(pose.rotation, direction), mimicked=followed)
+    return Joint(
+        KINDS[kind],
+        parent,
+        child,
+        pose.position,
+        turned(pose.rotation, direction),
+        mimicked=followed,
+        limits=UNLIMITED if kind == "continuous" else _limits(joint.one("limit")),
+    )
+
+
+def _limits(limit: Element | None) -> tuple[float, float]:
+    """Return the lower and upper limit of a joint; where one is written the other is zero by default."""
+    if limit is None or not {"lower", "upper"} & limit.attributes.keys():
+        return UNLIMITED
+    return limit.number("lower", 0.0), limit.number("upper", 0.0)

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 from numba import carray
 from numba import types as numba_types
-from numba.extending import intrinsic, overload_method
+from numba.extending import intrinsic, overload, overload_method
 from numpy.typing import NDArray
 
 from coadjoint.interruption import deferred
@@ -31,6 +31,7 @@ from coadjoint.kernels.functions.copies import POINTER, Places, called_in_machin
 from coadjoint.kernels.functions.machine_code import MachineCode, stored_or_compiled, with_environments
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
+from coadjoint.systems.time_spans import OUTSIDE, refuse_time
 from coadjoint.systems.user_functions import MultipleOf
 
 SIGNATURE = numba_types.void(POINTER, numba_types.float64, POINTER, POINTER)
@@ -40,6 +41,15 @@ OWN_FOLDER = Path(__file__).resolve().parents[2]
 _CONSTANT: dict[str, bool] = {}
 """Digests of functions whose constants are compiled into their machine code."""
 _warned: set[str] = set()
+
+
+@overload(refuse_time)
+def _compiled_refusal(t: Any, first: Any, last: Any) -> Callable[..., Any]:
+    # Numba formats no floats.
+    def refuse(t: Any, first: Any, last: Any) -> Any:
+        raise ValueError("the time is " + OUTSIDE)
+
+    return refuse
 
 
 def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callable[[], Any]) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.time_spans import OUTSIDE, Span, known_in, slack_of
+from coadjoint.systems.time_spans import Span, known_in, refuse_time, slack_of
 
 Floats = NDArray[np.float64]
 OfTime = Callable[..., Any]
@@ -47,7 +47,7 @@ def _functions(
 ) -> tuple[OfTime, OfTime, OfTime]:
     def value(t: Any) -> Any:
         if not (first - slack <= t <= last + slack):
-            raise ValueError(OUTSIDE)
+            refuse_time(t, first, last)
         k = piece_at(begins, t)
         s, result = (t - middles[k]) / lengths[k], c[k, -1].copy()
         for power in range(c.shape[1] - 2, -1, -1):
@@ -56,7 +56,7 @@ def _functions(
 
     def derivative(t: Any) -> Any:
         if not (first - slack <= t <= last + slack):
-            raise ValueError(OUTSIDE)
+            refuse_time(t, first, last)
         k = piece_at(begins, t)
         s, result = (t - middles[k]) / lengths[k], (c.shape[1] - 1) * c[k, -1]
         for power in range(c.shape[1] - 2, 0, -1):
@@ -65,7 +65,7 @@ def _functions(
 
     def second_derivative(t: Any) -> Any:
         if not (first - slack <= t <= last + slack):
-            raise ValueError(OUTSIDE)
+            refuse_time(t, first, last)
         k = piece_at(begins, t)
         s, result = (t - middles[k]) / lengths[k], (c.shape[1] - 1) * (c.shape[1] - 2) * c[k, -1]
         for power in range(c.shape[1] - 2, 1, -1):
