@@ -46,7 +46,7 @@ ROBOT = pathlib.Path(FOLDER.name, "robot.urdf")
 INERTIAL = '<mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="2.5"/>'
 ROBOT.write_text(f'<robot name="r"><link name="a"><inertial>{INERTIAL}</inertial></link></robot>', encoding="utf-8")
 
-ORBIT = co.orbits.circular(7e6, epoch="2024-01-01")
+ORBIT = co.orbits.circular(7e6, epoch="2024-01-01", frame="J2000")
 LOG = co.attitudes.AttitudeLog([0.0, 1.0], np.stack([EYE, EYE]))
 LOGGED, EPHEMERIS = pathlib.Path(FOLDER.name, "log.csv"), pathlib.Path(FOLDER.name, "orbit.oem")
 co.attitudes.write(LOGGED, LOG)
@@ -56,6 +56,10 @@ EPHEMERIS.write_text(
     "STOP_TIME = 2024-01-01T00:02:00\nMETA_STOP\n"
     + "".join(f"2024-01-01T00:0{k}:00 7000.0 {450 * k} 0.0 0.0 7.5 0.0\n" for k in range(3)),
     encoding="utf-8",
+)
+ELEMENTS = (
+    "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927\n"
+    "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537\n"
 )
 SAMPLES = pathlib.Path(FOLDER.name, "samples.csv")
 ROD = co.checkcases.get("rod", samples=5)
@@ -177,8 +181,12 @@ OWN = {
     "co.orbits.Planet": {"mu": 1.0},
     "co.orbits.circular": {"radius": 7e6},
     "co.orbits.kepler": {"semi_major_axis": 7e6},
-    "co.orbits.from_samples": {"t": TIMES[:12], "position": np.stack([np.cos(TIMES), np.sin(TIMES), TIMES], 1)[:12]},
-    "co.orbits.from_tle": {"lines": co.orbits.from_tle.__doc__, "t_span": (0.0, 600.0)},
+    "co.orbits.from_samples": {
+        "t": TIMES[:12],
+        "position": np.stack([np.cos(TIMES), np.sin(TIMES), TIMES], axis=1)[:12],
+        "planet": co.orbits.Planet(1.0),
+    },
+    "co.orbits.from_tle": {"lines": ELEMENTS, "t_span": (0.0, 600.0)},
     "co.orbits.igrf": {"orbit": ORBIT, "t_span": (0.0, 600.0)},
     "co.orbits.read_oem": {"path": EPHEMERIS},
     "co.orbits.tilted_dipole": {"orbit": ORBIT},

@@ -65,7 +65,9 @@ def own_energy(k):
 COMPILED = {
     "a torque": lambda k: co.integrate(with_own_torque(k), X0, (0, 1), 0.5, co.Splitting()),
     "a Hamiltonian": lambda k: co.prepare(own_energy(k), co.GaussLegendre(1), 0.5),
-    "members": lambda k: co.prepare(co.batch([with_braking(k), with_braking(2 * k)]), step=0.5),
+    "members": lambda k: co.prepare(
+        co.batch([with_braking(k), with_braking(2 * k)]), co.Splitting(parts=((0,), (1,), (2,))), 0.5
+    ),
 }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.runs.results.solution import check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.orbits.epochs import Epoch
 from coadjoint.validation import read_finite, read_title, set_fields
@@ -112,6 +113,7 @@ class AttitudeLog:
         ValueError
             A solution of several members or bodies, or one without attitudes.
         """
+        check_solution(solution)
         times, found = np.asarray(solution.t), solution.rotation
         if np.ndim(solution.x) != 2 or len(found) != len(times):
             raise ValueError(
