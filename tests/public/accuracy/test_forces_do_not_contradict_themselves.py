@@ -128,7 +128,7 @@ def rate(force, system, t, x):
     return force.field(system, x, t)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_flow_is_that_of_its_field(name):
     """At orders two and ten, from a time other than zero, forward, and backward if the force acts backward."""

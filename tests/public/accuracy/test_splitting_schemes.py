@@ -252,7 +252,7 @@ def field_of(system, modified, x, h):
 
 
 @pytest.mark.parametrize("seed", long_beyond(2, range(24)))
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(12)
 def test_step_is_the_flow_of_the_modified_hamiltonian(seed):
     system, scheme, modified, x0 = case_of(seed)
     size = max(1.0, float(np.max(np.abs(system.jacobian(x0)))), float(np.max(np.abs(system.vector_field(x0)))))

@@ -362,7 +362,7 @@ GAUSS = [(co.GaussLegendre(s), h) for s, h in ((1, 0.85), (1, 1.0), (2, 1.5), (3
 
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize(("method", "h"), [*GAUSS, (co.RadauEnergy(2), 1.0), (co.RadauEnergy(2), 1.5)])
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 def test_motions_die_out_through_subnormal_numbers(method, h):
     """Their equations are linear beside the coordinate that rests: a larger state takes the same step.
 

@@ -57,6 +57,7 @@ def integrated_time(kind):
 
 @pytest.mark.parametrize("kind", NOISES)
 @pytest.mark.parametrize("count", [100, 2000, pytest.param(20000, marks=pytest.mark.long)])
+@pytest.mark.thinned(2)
 def test_means_and_times_of_series(kind, count):
     series = noise_of(kind, (count, SEEDS), count)
     found = co.spectra.autocorrelation(0.5 * np.arange(count), series)  # every series a channel

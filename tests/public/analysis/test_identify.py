@@ -72,7 +72,7 @@ def found_coefficients(found):
 
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 def test_exact_trajectories_give_the_hamiltonian(name, backward):
     system, _, t, found = identified(name, backward)
     expected = found.coefficients_of(truth(system))

@@ -111,7 +111,7 @@ def member_of(result, m):
     return np.asarray(result)[m : m + 1]
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @each_entry
 def test_an_ensemble_is_its_members(name):
     """To the bit, since the runs are."""

@@ -134,7 +134,7 @@ FORCED = [
 ]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("kind", "scheme", "name"), FORCED)
 def test_derivatives_with_forces(kind, scheme, name):
     """Of noise that is frozen, and of torques and dampings at their times, forward, backward and between steps."""
@@ -253,7 +253,7 @@ def drawing(system):
     return draw
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", MATRICES)
 def test_derivatives_of_matrices(name):
     build, method, steps = MATRICES[name]

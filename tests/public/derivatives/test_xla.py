@@ -121,7 +121,7 @@ def gradients(ready, ends, backend="xla", **options):
 
 
 @pytest.mark.parametrize(("name", "span"), long_beyond(len(CASES), CASES + REPEATED))
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(27)
 def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     system, method = SYSTEMS[name]()
     ready, (ends, options) = co.prepare(system, method, 0.1), SPANS[span]
@@ -166,7 +166,7 @@ PARAMETRIZED = {
 
 
 @pytest.mark.parametrize("name", long_beyond(3, PARAMETRIZED))
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 def test_parameters_agree_with_the_compiled_backend(name):
     system, method = PARAMETRIZED[name]()
     ready, draw = co.prepare(system, method, 0.05), np.random.default_rng(7)
@@ -206,6 +206,7 @@ def test_second_derivatives_are_differences_of_the_compiled_gradient(system, met
         np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-8 * size)
 
 
+@pytest.mark.long
 def test_second_derivatives_by_parameters_of_ready_made_systems():
     """By the axial moment of a symmetric body, whose momentum turns about its axis, and by pairs of moments."""
     a, c, t, x0 = 1.0, 1.6, 0.8, np.array([1.0, 0.2, 0.5])
@@ -308,6 +309,7 @@ def test_first_runs_warn_of_a_large_step_however_they_are_made(name):
         FIRST[name](ready, 3.0 * X0)
 
 
+@pytest.mark.long
 def test_transformations_compose():
     ready, ends, several = prepared(method=co.Splitting()), (0, 0.5), np.array([INERTIA, INERTIA + 0.1])
     f, reference = (co.jax.solution(ready, ends, 5, backend=backend) for backend in ("xla", "compiled"))
@@ -482,7 +484,7 @@ FORCED = {
 
 
 @pytest.mark.parametrize("name", long_beyond(3, FORCED))
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(18)
 def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     """To the bits of the noise; members differ in it. Ten steps round a few times in each of at most 100 operations."""
     system, given = FORCED[name]
@@ -581,7 +583,7 @@ def test_ready_made_systems_agree_with_the_compiled_run():
 SCHEMES = {str(one): one for one in EXAMPLES}
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", SCHEMES)
 @pytest.mark.parametrize("attitude", [False, True])
 def test_registered_schemes_agree_with_the_compiled_run_or_are_refused(name, attitude):

@@ -140,6 +140,7 @@ def long_run():
 
 
 @pytest.mark.parametrize(("number", "chunk"), [(0, 1), (1, 2), (2, 1)])
+@pytest.mark.thinned(2)
 def test_block_resumes_from_its_marker(tmp_path, monkeypatch, number, chunk):
     """Committed points are read, the others are NaN."""
     path, expected, done = tmp_path / "many.zarr", long_run(), ROWS * chunk

@@ -111,7 +111,7 @@ def assert_gradients_agree(prepared, run, sol, covector, gradient):
 
 
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 def test_runs_have_the_bits_of_the_library(name, interface, tmp_path):
     system, scheme = CASES[name]
     prepared = co.prepare(system, scheme, step=0.05)

@@ -141,7 +141,7 @@ def variants(name):
 SLOW = {"double_spherical_pendulum", "rigid_molecules", "satellite", "separable_cosh", "sklyanin"}
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.long) if n in SLOW else n for n in co.systems.names()]
 )
@@ -343,7 +343,7 @@ def test_every_parameter_of_a_run_is_stored():
     assert set(inputs) == {"system", *OPTIONS} - {"accuracy"}
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("parameter", OPTIONS)
 def test_options_of_runs_are_stored(parameter, tmp_path):
     usual = {"x0": X, "t_span": (0.0, 20.0 if parameter == "events" else 1.5), "step": 0.125, "method": co.Splitting(4)}

@@ -38,7 +38,7 @@ def test_panels_of_a_body(body_run: co.Solution) -> None:
 TITLES = {"drift": "drift", "components": "components", "body axis": "in space", "coadjoint orbit": "level surface"}
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("width", [None, 3.4])
 @pytest.mark.parametrize(
     "panels",

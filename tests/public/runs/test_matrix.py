@@ -38,7 +38,7 @@ def cases_of(method):
     return new or list(drawn(method, seed=1, each=1, catalogue=0))
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("method", schemes())
 def test_schemes_on_drawn_systems(method):
     assert check_drawn(cases_of(method))
@@ -93,7 +93,7 @@ SHOWING = (
 )
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("method", [text for text in schemes() if text not in SLOW and not value_of(text).own_steps])
 def test_every_scheme_shows_its_order(method):
     """On one of some systems the slope of the error is conclusive: the check of the order does not pass unused.

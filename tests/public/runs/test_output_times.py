@@ -210,7 +210,7 @@ def sums(span, count):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("span", [(0.0, 30.0), (0.0, -30.0), (-7.0, 23.0), (40.0, 10.0)])
 @pytest.mark.parametrize("members", [1, 3])
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(12)
 def test_times_that_were_summed_end_at_the_end(size, span, members):
     """Of 30 000 terms and every hundredth of them; the states of the end are those of the last step."""
     x0 = X if members == 1 else np.array([X, 2 * X, -X])

@@ -127,7 +127,7 @@ def with_parts(scheme, program, shift):
     return dataclasses.replace(scheme, parts={"order": program.choice.order, "shift": factors})
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.filterwarnings("ignore:.*principal moment", "ignore:inertia")
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", [*co.systems.names(), *OTHERS])

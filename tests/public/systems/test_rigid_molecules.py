@@ -116,6 +116,7 @@ def inertias(system):
 
 
 @pytest.mark.parametrize("name", long_where(["droplet", "cutoff"], SURROUNDINGS))
+@pytest.mark.thinned(1)
 def test_motion_by_dop853_in_quaternions(name):
     system, x0 = mixture(name)
     tensors, m = np.array(inertias(system)), system.masses[:, None]

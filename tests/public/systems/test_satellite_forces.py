@@ -52,7 +52,7 @@ def test_a_run_by_dop853_in_quaternions(name):
 
 
 @each
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(16)
 def test_members_archives_and_steps_have_the_same_bits(name, tmp_path, no_fsync):
     case, method, span = CASES[name], splitting(2), (0.0, 24 * STEP)
     system, x0 = case.system, case.start
