@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -250,6 +250,11 @@ def _tensors(problem: Problem) -> Iterator[Explanation]:
             )
             tensors.append(("the tensor is that of the principal axes, without their rotation", np.diag(moments)))
     tensors.append(("the inverse of the tensor was taken for it", np.linalg.inv(inertia)))
+    for i, j in combinations(range(3), 2):
+        if inertia[i, j]:
+            other = inertia.copy()
+            other[i, j] = other[j, i] = -inertia[i, j]
+            tensors.append((f"the product of inertia I_{'xyz'[i]}{'xyz'[j]} has the opposite sign", other))
     for order in list(permutations(range(3)))[1:]:
         named = ", ".join("xyz"[k] for k in order)
         tensors.append((f"the moments are exchanged: x, y, z have those of {named}", inertia[np.ix_(order, order)]))
@@ -263,6 +268,26 @@ def _tensors(problem: Problem) -> Iterator[Explanation]:
     yield Explanation(
         "the gyroscopic torque w x I w is missing: the rates are constant", problem.table, {"t": t, **still}
     )
+
+
+def _free_motions(problem: Problem) -> Iterator[Explanation]:
+    """Yield motions of free bodies from the rates of the first sample, or without the torque of the case."""
+    body = problem.case.body
+    if body is None or body.rotors.any() or np.linalg.matrix_rank(body.inertia) < 3:
+        return
+    t, start = problem.reference["t"], Rotation.from_quat(np.roll(body.attitude, -1))
+    rates, sentence = body.rates, "the torque is missing: the samples are the motion of the free body"
+    if body.is_free:
+        if t[0] != 0.0 or all(quantity.name != "rates" for quantity in problem.quantities):
+            return
+        rates = stacked(problem.table, ("wx", "wy", "wz"))[0]
+        given, wanted = (", ".join(f"{float(v):.6g}" for v in each) for each in (rates, body.rates))
+        sentence = f"the rates at the start are ({given}), not ({wanted}) rad/s"
+    elif body.torque is None:
+        return
+    if rates.any():
+        columns = free_columns(body.inertia, rates, t)
+        yield Explanation(sentence, problem.table, {"t": t, **_started(columns, start)})
 
 
 def _is_tensor(tensor: Floats) -> bool:
@@ -495,6 +520,7 @@ CANDIDATES: tuple[Callable[[Problem], Iterator[Explanation]], ...] = (
     _precession,
     _turning_frames,
     _clocks,
+    _free_motions,
     _scales,
 )
 """Kinds of mistakes, simpler ones first."""

@@ -81,6 +81,14 @@ def products(case, table):
     return simulated(case, 2 * np.diag(np.diag(I)) - I)
 
 
+def one_product(case, table):
+    return simulated(case, case.body.inertia * np.array([[1, 1, -1], [1, 1, 1], [-1, 1, 1]]))
+
+
+def other_start(case, table):
+    return simulated(case, case.body.inertia, w0=np.array([1.0, 2.0, 0.55]))
+
+
 def without_products(case, table):
     return simulated(case, np.diag(np.diag(case.body.inertia)))
 
@@ -138,6 +146,8 @@ MISTAKES = {
     momenta: "angular momenta",
     axes_exchanged: "wx, wy, wz hold wx, wz, -wy",
     products: "products of inertia have the opposite sign",
+    one_product: "product of inertia I_xz has the opposite sign",
+    other_start: "rates at the start are (1, 2, 0.55), not (1, 2, 0.5) rad/s",
     without_products: "products of inertia are left out",
     transposed: "tensor is transposed",
     moments_exchanged: "moments are exchanged",
@@ -181,6 +191,19 @@ def test_an_energy_that_the_case_changes_is_not_said_to_drift(mistake):
     free = case_of("free_body", inertia=(2.0, 2.0, 1.5), rates=(0.0, 0.0, 0.5), end=30.0, samples=301).reference()
     found = case.compare(free if mistake == "without torque" else mine | mistake(case, mine))
     assert not found.passed and not any("steadily" in text for text in found.diagnosis), found.diagnosis
+    assert ("torque is missing" in found.diagnosis[0]) == (mistake == "without torque")
+
+
+def test_rates_of_other_times_are_not_another_start():
+    """One parameter, the offset, is simpler than three rates; attitudes alone have no rates at the start."""
+    case = case_of()
+    mine = case.reference()
+    found = case.compare({name: offset(case, mine)[name] for name in ("t", *RATES)})
+    assert found.diagnosis == ("the samples are of other times: sample t is the motion at t +0.0137 s",)
+    found = case.compare({name: other_start(case, mine)[name] for name in ("t", *QUATERNION)})
+    assert not any("at the start" in text for text in found.diagnosis)
+    found = case.compare({name: other_start(case, mine)[name] for name in ("t", *RATES)})
+    assert len(found.diagnosis) == 1 and MISTAKES[other_start] in found.diagnosis[0]
 
 
 @pytest.mark.parametrize("order, words", [((1, 2, 0), "wy, wz, wx"), ((2, 0, 1), "wz, wx, wy")])
