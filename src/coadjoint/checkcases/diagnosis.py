@@ -33,6 +33,7 @@ GRID = 161  # trial offsets of the time and trial clock rates
 WIDEST_OFFSET = 0.05  # of the span, and at least five samples
 WIDEST_RATE = 0.05  # relative change of the clock
 DENSE = 2000  # points of the interpolated reference
+LEAST_SAMPLES = 4  # for other axes, which are fitted
 FIT_ITERATIONS = 5  # of the rate of axes that turn
 STEADY = 0.9  # share of the variance of an invariant that a straight line explains, if it grows steadily
 
@@ -219,7 +220,7 @@ def _quaternions(problem: Problem) -> Iterator[Explanation]:
         for what, values in variants:
             table = _with(problem.table, quantity.columns, values)
             yield Explanation(f"the quaternion{of} {what}", table, problem.reference)
-        if len(q) < 4:
+        if len(q) < LEAST_SAMPLES:
             continue
         mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
         for what, convention in (("", mine), (f", and conjugated: {inverse}", mine.inv())):
@@ -441,7 +442,7 @@ def _turning_frames(problem: Problem) -> Iterator[Explanation]:
     """Yield attitudes relative to axes of space that turn at a constant rate."""
     t = problem.reference["t"]
     for quantity in problem.quantities:
-        if quantity.kind != "attitude" or not t.any():
+        if quantity.kind != "attitude" or len(t) < LEAST_SAMPLES:
             continue
         mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
         between = certain * mine.inv()

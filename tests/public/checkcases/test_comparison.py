@@ -184,6 +184,14 @@ def test_axes_that_turn_by_many_revolutions_are_found(name, rate, start):
     assert (f"turned by {math.degrees(start):.6g} degrees at t = 0" in found.diagnosis[0]) == (start > 0)
 
 
+def test_axes_are_not_fitted_to_few_samples():
+    """Two attitudes are on a steady rotation with a start, whatever they are."""
+    case = case_of("free_body")
+    q = np.random.default_rng(1).normal(size=(4, 2))
+    found = case.compare({"t": [0.5, 1.0], **dict(zip(QUATERNION, q, strict=True))})
+    assert not found.diagnosis and found.unexplained
+
+
 @pytest.mark.parametrize("mistake", [scaled(180 / math.pi), conjugated, "without torque"], ids=str)
 def test_an_energy_that_the_case_changes_is_not_said_to_drift(mistake):
     case = case_of("spin_up")
