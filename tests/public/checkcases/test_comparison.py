@@ -192,7 +192,9 @@ def test_axes_are_not_fitted_to_few_samples():
     assert not found.diagnosis and found.unexplained
 
 
-@pytest.mark.parametrize("mistake", [scaled(180 / math.pi), conjugated, "without torque"], ids=str)
+@pytest.mark.parametrize(
+    "mistake", [scaled(180 / math.pi), conjugated, "without torque"], ids=["degrees", "conjugated", "free"]
+)
 def test_an_energy_that_the_case_changes_is_not_said_to_drift(mistake):
     case = case_of("spin_up")
     mine = case.reference()
