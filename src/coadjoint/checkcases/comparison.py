@@ -27,6 +27,10 @@ ROWS = 9  # of the printed table
 MIN_NORM = 1e-3  # of a quaternion; below, it is no attitude
 NORM_TOLERANCE = 1e-6  # deviation of the norm of quaternions that is reported, above that of printed digits
 
+LISTED_NAMES = 20  # of columns that are ignored
+UNEXPLAINED = "none of the known mistakes explains this"
+STEP_HINT = "; give the step of the simulator (--step), to compare the samples with common schemes of low order"
+
 
 class Errors(NamedTuple):
     """Errors of a quantity or an invariant over time.
@@ -77,7 +81,10 @@ class Comparison:
     diagnosis : tuple of str
         What the difference looks like; empty within the tolerance.
     notes : tuple of str
-        Columns that were found under other names or converted, and quantities that the samples lack.
+        Columns that were found under other names or converted, those that were ignored, and quantities that the
+        samples lack.
+    unexplained : str
+        Sentence for a difference beyond the tolerance that no known mistake explains; otherwise empty.
 
     Examples
     --------
@@ -96,6 +103,7 @@ class Comparison:
     tolerance: float
     diagnosis: tuple[str, ...]
     notes: tuple[str, ...]
+    unexplained: str = ""
 
     @property
     def passed(self) -> bool:
@@ -118,6 +126,7 @@ class Comparison:
             lines.append(f"{self.t[k]:12.6g}" + "".join(cells))
         lines.append(f"{'largest':>12}" + "".join(f"{each.largest:{max(12, width)}.3g}" for each in self.errors))
         lines += [f"it looks like this: {sentence}" for sentence in self.diagnosis]
+        lines += [self.unexplained] if self.unexplained else []
         return "\n".join(lines)
 
     def columns(self) -> Columns:
@@ -185,8 +194,13 @@ def compare(
     reference = case.reference(table["t"])
     errors = tuple(errors_of(case, table, reference, quantities))
     passed = all(each.largest <= tolerance for each in errors)
-    findings = () if passed else diagnose(case, table, reference, quantities, tolerance, step)
-    return Comparison(case, table["t"], errors, tolerance, tuple(findings), tuple(notes))
+    if passed:
+        return Comparison(case, table["t"], errors, tolerance, (), tuple(notes))
+    findings, has_mistake = diagnose(case, table, reference, quantities, tolerance, step)
+    unexplained = "" if has_mistake else UNEXPLAINED
+    if unexplained and step is None and case.body is not None:
+        unexplained += STEP_HINT
+    return Comparison(case, table["t"], errors, tolerance, tuple(findings), tuple(notes), unexplained)
 
 
 def _read_mapping(samples: Any) -> Mapping[str, Any]:
@@ -209,7 +223,7 @@ def _read_samples(
     lengths = {name: len(values) for name, values in found.items()}
     if len(set(lengths.values())) != 1:
         raise ValueError(f"the columns have different lengths: {lengths}")
-    quantities = []
+    quantities, absent = [], []
     for quantity in case.quantities:
         missing = [name for name in quantity.columns if name not in found]
         if not missing:
@@ -219,10 +233,20 @@ def _read_samples(
                 f"of {', '.join(quantity.columns)}, the table lacks {', '.join(missing)}; name them by columns"
             )
         else:
-            notes.append(f"not compared, since the samples lack them: {', '.join(quantity.columns)}")
+            absent.append(f"{quantity.name} ({', '.join(quantity.columns)})")
+    unused = _listed(found.unused)
     if not quantities:
-        names = ", ".join(needed)
+        names = ", ".join(name for name in needed if name != "t")
         raise ValueError(f"no columns of {names} found among {short(', '.join(raw))}; name them by columns wx=NAME")
+    if absent and found.unused and not found.is_chosen:
+        raise ValueError(
+            f"the samples lack {', '.join(absent)}, and have columns that are not recognized, {unused}; name the "
+            f"columns of all quantities to compare by columns {quantities[0].columns[0]}=NAME, or remove the others"
+        )
+    if absent:
+        notes.append(f"not compared, since the samples lack it: {', '.join(absent)}")
+    if found.unused:
+        notes.append(f"ignored columns of the samples: {unused}")
     for name, values in found.items():
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values)))
@@ -252,6 +276,12 @@ def _read_samples(
         for name in quantity.columns:
             found[name] = found[name] / norms
     return dict(found), tuple(quantities), notes
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Return names in quotes, the first ones of many."""
+    more = f" and {len(names) - LISTED_NAMES} more" if len(names) > LISTED_NAMES else ""
+    return ", ".join(short(name) for name in names[:LISTED_NAMES]) + more
 
 
 def errors_of(

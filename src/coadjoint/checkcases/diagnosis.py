@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from coadjoint.checkcases.attitudes import body_columns, free_columns, rotations_of, stacked
-from coadjoint.checkcases.check_case import CheckCase, Columns, Quantity
+from coadjoint.checkcases.check_case import CheckCase, Columns, DerivedQuantity, Quantity
 from coadjoint.checkcases.emulated_schemes import emulated_runs
 
 Floats = npt.NDArray[np.float64]
@@ -33,6 +33,8 @@ GRID = 161  # trial offsets of the time and trial clock rates
 WIDEST_OFFSET = 0.05  # of the span, and at least five samples
 WIDEST_RATE = 0.05  # relative change of the clock
 DENSE = 2000  # points of the interpolated reference
+LEAST_SAMPLES = 4  # for other axes, which are fitted
+FIT_ITERATIONS = 5  # of the rate of axes that turn
 STEADY = 0.9  # share of the variance of an invariant that a straight line explains, if it grows steadily
 
 
@@ -97,8 +99,8 @@ def diagnose(
     quantities: tuple[Quantity, ...],
     tolerance: float,
     step: float | None,
-) -> list[str]:
-    """Return what a difference beyond the tolerance looks like, as sentences; empty if it is like no known mistake."""
+) -> tuple[list[str], bool]:
+    """Return what a difference beyond the tolerance looks like, as sentences, and whether a known mistake is in it."""
     rows = np.unique(np.linspace(0, len(table["t"]) - 1, MAX_ROWS).round().astype(int))
     problem = Problem(
         case,
@@ -109,6 +111,7 @@ def diagnose(
         step,
     )
     findings: list[str] = []
+    kept = _kept_invariants(problem)
     for _ in range(MAX_FINDINGS):
         if max(problem.errors(problem.table, problem.reference).values()) <= tolerance:
             break
@@ -121,8 +124,10 @@ def diagnose(
             table={name: np.asarray(values)[rows] for name, values in found.table.items()},
             reference={name: np.asarray(values)[rows] for name, values in found.reference.items()},
         )
-    findings += steady_changes(case, table, reference, quantities, tolerance)
-    return findings
+    has_mistake = bool(findings)
+    if max(problem.errors(problem.table, problem.reference).values()) > tolerance:
+        findings += _steady_changes(problem, kept)
+    return findings, has_mistake
 
 
 def _best(problem: Problem) -> Explanation | None:
@@ -215,7 +220,7 @@ def _quaternions(problem: Problem) -> Iterator[Explanation]:
         for what, values in variants:
             table = _with(problem.table, quantity.columns, values)
             yield Explanation(f"the quaternion{of} {what}", table, problem.reference)
-        if len(q) < 4:
+        if len(q) < LEAST_SAMPLES:
             continue
         mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
         for what, convention in (("", mine), (f", and conjugated: {inverse}", mine.inv())):
@@ -246,6 +251,11 @@ def _tensors(problem: Problem) -> Iterator[Explanation]:
             )
             tensors.append(("the tensor is that of the principal axes, without their rotation", np.diag(moments)))
     tensors.append(("the inverse of the tensor was taken for it", np.linalg.inv(inertia)))
+    for i, j in combinations(range(3), 2):
+        if inertia[i, j]:
+            other = inertia.copy()
+            other[i, j] = other[j, i] = -inertia[i, j]
+            tensors.append((f"the product of inertia I_{'xyz'[i]}{'xyz'[j]} has the opposite sign", other))
     for order in list(permutations(range(3)))[1:]:
         named = ", ".join("xyz"[k] for k in order)
         tensors.append((f"the moments are exchanged: x, y, z have those of {named}", inertia[np.ix_(order, order)]))
@@ -259,6 +269,26 @@ def _tensors(problem: Problem) -> Iterator[Explanation]:
     yield Explanation(
         "the gyroscopic torque w x I w is missing: the rates are constant", problem.table, {"t": t, **still}
     )
+
+
+def _free_motions(problem: Problem) -> Iterator[Explanation]:
+    """Yield motions of free bodies from the rates of the first sample, or without the torque of the case."""
+    body = problem.case.body
+    if body is None or body.rotors.any() or np.linalg.matrix_rank(body.inertia) < 3:
+        return
+    t, start = problem.reference["t"], Rotation.from_quat(np.roll(body.attitude, -1))
+    rates, sentence = body.rates, "the torque is missing: the samples are the motion of the free body"
+    if body.is_free:
+        if t[0] != 0.0 or all(quantity.name != "rates" for quantity in problem.quantities):
+            return
+        rates = stacked(problem.table, ("wx", "wy", "wz"))[0]
+        given, wanted = (", ".join(f"{float(v):.6g}" for v in each) for each in (rates, body.rates))
+        sentence = f"the rates at the start are ({given}), not ({wanted}) rad/s"
+    elif body.torque is None:
+        return
+    if rates.any():
+        columns = free_columns(body.inertia, rates, t)
+        yield Explanation(sentence, problem.table, {"t": t, **_started(columns, start)})
 
 
 def _is_tensor(tensor: Floats) -> bool:
@@ -412,17 +442,48 @@ def _turning_frames(problem: Problem) -> Iterator[Explanation]:
     """Yield attitudes relative to axes of space that turn at a constant rate."""
     t = problem.reference["t"]
     for quantity in problem.quantities:
-        if quantity.kind != "attitude" or not t.any():
+        if quantity.kind != "attitude" or len(t) < LEAST_SAMPLES:
             continue
         mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
-        angles = (mine * certain.inv()).as_rotvec()
-        rate = t @ angles / (t @ t)
-        turned = Rotation.from_rotvec(-t[:, None] * rate) * mine
-        table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
-        vector = ", ".join(f"{v:.3g}" for v in rate)
-        yield Explanation(
-            f"the {quantity.name} is relative to axes that turn by ({vector}) rad/s in space", table, problem.reference
-        )
+        between = certain * mine.inv()
+        for is_apart in (False, True):
+            rate, start = _steady_rotation(t, between, is_apart)
+            turned = Rotation.from_rotvec(t[:, None] * rate) * Rotation.from_rotvec(start) * mine
+            table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
+            sentence = f"the {quantity.name} is relative to axes that turn by ({_vector_text(rate)}) rad/s in space"
+            angle = math.degrees(float(np.linalg.norm(start)))
+            if is_apart:
+                sentence += f", and that are turned by {angle:.6g} degrees at t = 0"
+            yield Explanation(sentence, table, problem.reference)
+
+
+def _steady_rotation(t: Floats, rotations: Rotation, is_apart: bool) -> tuple[Floats, Floats]:
+    """Return a rate and a start of ``exp(t rate) exp(start)``, as vectors, near rotations of any total angle.
+
+    The first rate is that between successive samples, which turn by less than half a revolution each. The start is
+    zero unless `is_apart`.
+    """
+    angles = (rotations[1:] * rotations[:-1].inv()).as_rotvec()
+    rate = np.median(angles / np.diff(t)[:, None], axis=0)
+    start = np.zeros(3)
+    for _ in range(FIT_ITERATIONS):
+        still = Rotation.from_rotvec(-t[:, None] * rate) * rotations
+        if not is_apart:
+            rate = rate + t @ still.as_rotvec() / (t @ t)
+            continue
+        mean = still.mean()
+        start = mean.as_rotvec()
+        left = (still * mean.inv()).as_rotvec()
+        centred = t - t.mean()
+        rate = rate + centred @ left / (centred @ centred)
+    return rate, start
+
+
+def _vector_text(vector: Floats) -> str:
+    """Return a vector with three digits of its largest component."""
+    largest = float(np.abs(vector).max())
+    unit = 10.0 ** (math.floor(math.log10(largest)) - 2) if largest else 1.0
+    return ", ".join(f"{round(float(v) / unit) * unit + 0.0:.3g}" for v in vector)
 
 
 def _schemes(problem: Problem) -> Iterator[Explanation]:
@@ -460,28 +521,43 @@ CANDIDATES: tuple[Callable[[Problem], Iterator[Explanation]], ...] = (
     _precession,
     _turning_frames,
     _clocks,
+    _free_motions,
     _scales,
 )
 """Kinds of mistakes, simpler ones first."""
 
 
-def steady_changes(
-    case: CheckCase, table: Table, reference: Table, quantities: tuple[Quantity, ...], tolerance: float
-) -> list[str]:
-    """Return which invariants grow or fall steadily, as sentences."""
-    findings = []
-    t, present = table["t"], {quantity.name for quantity in quantities}
-    for invariant in case.invariants:
+def _kept_invariants(problem: Problem) -> tuple[DerivedQuantity, ...]:
+    """Return the invariants of the samples that the motion of the case keeps: a torque changes the energy."""
+    present = {quantity.name for quantity in problem.quantities}
+    kept = []
+    for invariant in problem.case.invariants:
         if not present.issuperset(invariant.quantities):
             continue
-        mine, certain = invariant.function(table), invariant.function(reference)
-        what = invariant.name
-        if mine.ndim > 1:
-            mine, certain = np.linalg.norm(mine, axis=1), np.linalg.norm(certain, axis=1)
-            what = f"length of the {invariant.name}"
-        size = float(np.abs(certain).max()) or 1.0
+        certain = _sizes_of(invariant, problem.reference)
+        size = max(float(np.abs(certain).max()), invariant.size)
+        if np.ptp(certain) <= max(100.0 * problem.case.accuracy, 0.1 * problem.tolerance) * size:
+            kept.append(invariant)
+    return tuple(kept)
+
+
+def _sizes_of(invariant: DerivedQuantity, table: Table) -> Floats:
+    """Return the values of an invariant, and lengths of a vector."""
+    values = invariant.function(table)
+    return values if values.ndim == 1 else np.asarray(np.linalg.norm(values, axis=1))
+
+
+def _steady_changes(problem: Problem, invariants: tuple[DerivedQuantity, ...]) -> list[str]:
+    """Return which invariants grow or fall steadily, as sentences."""
+    findings = []
+    t = problem.table["t"]
+    for invariant in invariants:
+        mine, certain = _sizes_of(invariant, problem.table), _sizes_of(invariant, problem.reference)
+        is_vector = invariant.function(problem.table).ndim > 1
+        what = f"length of the {invariant.name}" if is_vector else invariant.name
+        size = max(float(np.abs(certain).max()), invariant.size) or 1.0
         change = (mine - certain) / size
-        if np.abs(change).max() <= tolerance or len(t) < 4:
+        if np.abs(change).max() <= problem.tolerance or len(t) < 4:
             continue
         slope, constant = np.polyfit(t, change, 1)
         line = slope * t + constant

@@ -64,8 +64,10 @@ ALIASES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("qw", "qx", "qy", "qz"), ("qw qx qy qz", "quatw quatx quaty quatz", "q0 q1 q2 q3")),
     (("qw", "qx", "qy", "qz"), ("orientationw orientationx orientationy orientationz",)),
 )
-"""Columns of a case and names under which they are found, without units and signs. Four numbers q1 to q4 are not among
-them: programs differ about which is the scalar."""
+"""Columns of a case and names under which they are found, without units and signs."""
+
+UNORDERED = ("q1", "q2", "q3", "q4")
+"""Names of a quaternion that are refused: programs differ about which one is the scalar."""
 
 
 @suggest_keywords
@@ -218,9 +220,15 @@ def columns_of_dataset(dataset: Any, where: str) -> dict[str, Floats]:
 
 
 class AssignedColumns(dict[str, Floats]):
-    """Columns of a case from those of others; `notes` says which were taken and how they were converted."""
+    """Columns of a case from those of others.
+
+    `notes` says which were taken and how they were converted; `unused` are columns that were not recognized, and
+    `is_chosen` is whether the user named the quantities to compare.
+    """
 
     notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+    is_chosen: bool = False
 
 
 def assign_columns(
@@ -228,9 +236,15 @@ def assign_columns(
 ) -> AssignedColumns:
     """Return the columns of a case, by name with their SI units, that are among those of others, in SI units."""
     sources = _given_sources(raw, needed, given)
+    # Text without "=" has an entry for every column, so that each column was considered.
+    is_complete = given is not None and not hasattr(given, "items") and "=" not in given
+    result = AssignedColumns()
+    result.is_chosen = is_complete or any(column != "t" for column in sources)
     for column, source in _matched_sources(raw, needed).items():
         sources.setdefault(column, source)
-    result, notes = AssignedColumns(), []
+    if not is_complete:
+        _refuse_unordered_quaternion(raw, needed, sources)
+    notes = []
     for column, (name, unit) in sources.items():
         factor = _factor(column, name, unit or _unit_of(name)[1], needed[column])
         values = to_array(raw[name], f"column {short(name)}")
@@ -243,7 +257,29 @@ def assign_columns(
     if "t" not in result:
         raise ValueError(f"no column is the time t; there are {_listed(raw)}: name it by columns t=NAME")
     result.notes = tuple(notes)
+    used = {name for name, _ in sources.values()}
+    result.unused = tuple(str(name) for name in raw if name not in used)
     return result
+
+
+def _refuse_unordered_quaternion(
+    raw: Mapping[str, Any], needed: Mapping[str, str], sources: Mapping[str, tuple[str, str]]
+) -> None:
+    """Refuse four numbers q1 to q4, unless the user named the columns of the attitude or others hold it."""
+    plain = {_plain(str(name)): str(name) for name in raw}
+    if "qw" not in needed or "qw" in sources or not plain.keys() >= set(UNORDERED):
+        return
+    q1, q2, q3, q4 = (plain[name] for name in UNORDERED)
+    raise ValueError(
+        f"{q1}, {q2}, {q3}, {q4} are a quaternion of unknown order, since programs differ about which one is the "
+        f"scalar; give columns qw={q4},qx={q1},qy={q2},qz={q3} if {q4} is, qw={q1},qx={q2},qy={q3},qz={q4} if {q1} "
+        "is, or all names of columns in their order with - for these, to leave them out"
+    )
+
+
+def _plain(name: str) -> str:
+    """Return a name in lower case without unit and signs."""
+    return re.sub(r"[^a-z0-9]", "", _unit_of(name)[0].lower())
 
 
 def _listed(names: Any) -> str:
@@ -314,7 +350,7 @@ def _matched_sources(raw: Mapping[str, Any], needed: Mapping[str, str]) -> dict[
     """Return the columns that are found by their names, exact ones first; groups are complete or left out."""
     plain: dict[str, list[str]] = {}
     for name in raw:
-        plain.setdefault(re.sub(r"[^a-z0-9]", "", _unit_of(str(name))[0].lower()), []).append(str(name))
+        plain.setdefault(_plain(str(name)), []).append(str(name))
     found: dict[str, tuple[str, str]] = {}
     for column in needed:
         exact = [name for name in raw if _unit_of(str(name))[0].strip() == column]

@@ -120,6 +120,8 @@ WRONG = {
     "a short line": ("t,wx,wy,wz\n0,1,2,3\n1,1,2\n", "line 3"),
     "a name twice": ("t,wx,wx,wz\n0,1,2,3\n", "'wx'"),
     "an empty field": ("t,wx,wy,wz\n0,1,,3\n1,1,2,3\n", "wy"),
+    "an unknown order": ("t,wx,wy,wz,q1,q2,q3,q4\n0,1,2,3,1,0,0,0\n1,1,2,3,1,0,0,0\n", "unknown order"),
+    "no attitude": ("t,wx,wy,wz,roll\n0,1,2,.5,0\n1,1,2,3,0\n", "attitude (qw, qx, qy, qz)"),
     "an infinity": ("t,wx,wy,wz\n0,1,2,3\n1,inf,2,3\n", "wx is inf in sample 2"),
     "a unit of another kind": ("t,wx [kg],wy,wz\n0,1,2,3\n1,1,2,3\n", "'kg'"),
     "digits in groups": ("t,wx,wy,wz\n0,1,2,3\n1,1_0,2,3\n", "'1_0'"),
