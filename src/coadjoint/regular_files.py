@@ -28,6 +28,16 @@ def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
+def content_of(path: Path, limit: int, what: str, factor: int = 1, advice: str = "") -> bytes:
+    """Return the bytes of a regular file; ValueError above a limit, or if `factor` times its size is not available."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
+            raise ValueError(f"{path} has {size} bytes, and {what} at most {limit}{advice}")
+        check_available_memory(factor * size, f"{path}, {what},")
+        return file.read(limit)
+
+
 def read_array_file(path: Path, named: str) -> NDArray[Any]:
     """Return the array of numbers in a file ``.npy``, without unpickling."""
     with open_regular(path) as file:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.validation import read_finite
+from coadjoint.validation import read_finite, read_integer
 
 if TYPE_CHECKING:
     from coadjoint.checkcases.comparison import Comparison
@@ -24,6 +24,11 @@ DEFAULT_TOLERANCE = 1e-6
 """Largest relative error, and error of the attitude in radians, that passes by default: far above what the references
 leave uncertain, and below what a simulator with a mistake reaches."""
 SPAN_MARGIN = 1e-9  # relative; sums of steps end this much beyond the span
+
+
+def sample_times(end: float, samples: Any) -> Floats:
+    """Return times from 0 to the end, whose number is validated."""
+    return np.linspace(0.0, end, read_integer(samples, "samples", 2, 1_000_000))
 
 
 class Quantity(NamedTuple):

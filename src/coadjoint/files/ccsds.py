@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -11,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_available_memory
-from coadjoint.regular_files import open_regular
+from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
 from coadjoint.systems.orbits.epochs import TIME_SYSTEMS, Epoch, leap_seconds
 from coadjoint.validation import read_path
@@ -43,12 +41,7 @@ class MessageSegment(NamedTuple):
 def lines_of(path: Any) -> tuple[Path, list[TextLine]]:
     """Return the lines of a text file that are not empty; ValueError for one that is too large or no text."""
     file = read_path(path, "path")
-    with open_regular(file) as opened:
-        size = os.fstat(opened.fileno()).st_size
-        if size > MAX_BYTES:
-            raise ValueError(f"{file} has {size} bytes, and at most {MAX_BYTES} are read; divide it")
-        check_available_memory(MEMORY_PER_BYTE * size, f"the text of {file.name}")
-        content = opened.read(MAX_BYTES)
+    content = content_of(file, MAX_BYTES, "a text", MEMORY_PER_BYTE, "; divide it")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as reason:

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from coadjoint.checkcases.attitudes import as_tensor, body_invariants, free_columns, rotations_of, stacked
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, sample_times
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.bodies.rigid_body import rigid_body
-from coadjoint.validation import read_integer, read_positive
+from coadjoint.validation import read_positive
 
 FREE = (
     "I w' = (I w) x w and q' = q (0, w)/2: no torque acts. I is the inertia tensor in the body frame, w the angular "
@@ -47,7 +47,7 @@ def free_case(
     tensor = as_tensor(inertia)
     body = BodyModel(tensor, start, is_free=True, principal_axes=principal_axes)
     given = np.asarray(inertia, dtype=np.float64)
-    times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
+    times = sample_times(last, samples)
     fields = {
         "statement": FREE,
         "parameters": {"inertia": (given, "kg m^2"), "rates": (start, "rad/s"), "end": (last, "s")},

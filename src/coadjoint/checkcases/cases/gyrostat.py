@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.checkcases.attitudes import body_invariants
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, sample_times
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.checkcases.rotating import with_axes
 from coadjoint.systems.bodies.inertia import read_vector
-from coadjoint.validation import read_integer, read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 STEPS_PER_RADIAN = 20.0  # of the fastest rotation
 
@@ -39,7 +39,7 @@ def gyrostat(
     tensor = np.diag([read_positive(v, "inertia") for v in moments.tolist()])
     fastest = float(np.linalg.norm(moments * w + k) / moments.min() + np.linalg.norm(w))
     motion = with_axes(tensor, w, np.eye(3), 1.0 / (STEPS_PER_RADIAN * fastest or 1.0), rotors=k)
-    times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
+    times = sample_times(last, samples)
     model = BodyModel(tensor, w, rotors=k)
     return CheckCase(
         name="gyrostat",

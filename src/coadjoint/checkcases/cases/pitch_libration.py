@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
 from coadjoint.checkcases.attitudes import body_columns
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, CheckCase, Columns, DerivedQuantity
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, CheckCase, Columns, DerivedQuantity, sample_times
 from coadjoint.checkcases.integration import IntegratedMotion
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.bodies.satellite_on_orbit import satellite_on_orbit
-from coadjoint.validation import read_integer, read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def pitch_libration(
         },
         quantities=(RATES, ATTITUDE),
         motion=motion,
-        times=np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000)),
+        times=sample_times(last, samples),
         accuracy=1e-11,
         basis="closed form, Jacobi's elliptic functions",
         source="V. V. Beletskii, Motion of an Artificial Satellite about its Center of Mass (1966)",
@@ -148,7 +148,7 @@ def eccentric_libration(
         return about_third_axis(system.orbit(t).anomaly + theta, n * x[:, 2])
 
     scaled = IntegratedMotion(system, x0, 2.0 * math.pi / STEPS_PER_ORBIT, METHODS, columns)
-    times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
+    times = sample_times(last, samples)
     return CheckCase(
         name="eccentric_libration",
         title="pitch libration under the gradient of gravity on an eccentric orbit",

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from coadjoint.checkcases.attitudes import body_columns, body_invariants
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns, sample_times
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
-from coadjoint.validation import read_integer, read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 
 @checkcase
@@ -51,7 +51,7 @@ def rod(
         },
         quantities=(RATES, ATTITUDE),
         motion=motion,
-        times=np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000)),
+        times=sample_times(last, samples),
         accuracy=1e-12,
         basis="closed form, a rotation about a fixed axis",
         source="L. D. Landau, E. M. Lifshitz, Mechanics (1976), section 33",

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from coadjoint.checkcases.attitudes import body_invariants, state_columns
+from coadjoint.checkcases.attitudes import body_invariants, quaternions, state_columns
 from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns
 from coadjoint.checkcases.integration import relative_difference
 from coadjoint.checkcases.registry import checkcase
@@ -29,7 +29,7 @@ RATES_AT_START = np.array([0.01, -0.02, 0.03])
 def command(x: Floats) -> Floats:
     """Return the torque that the computer commands at a state."""
     w = x[:3] / INERTIA
-    q = np.roll(Rotation.from_matrix(x[3:12].reshape(3, 3)).as_quat(canonical=True), 1)
+    q = quaternions(Rotation.from_matrix(x[3:12].reshape(3, 3)))
     return np.clip(-2.0 * STIFFNESS * q[1:] - DAMPING * w, -LIMIT, LIMIT)
 
 
@@ -66,7 +66,7 @@ def slew() -> CheckCase:
         return _columns(states_at(t, METHODS[0]))
 
     times = np.linspace(0.0, END, 241)
-    q = np.roll(start.as_quat(canonical=True), 1)
+    q = quaternions(start)
     model = BodyModel(np.diag(INERTIA), RATES_AT_START, attitude=q)
     return CheckCase(
         name="slew",

@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.checkcases.attitudes import body_invariants, state_columns
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns, sample_times
 from coadjoint.checkcases.integration import IntegratedMotion
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.bodies.body import body
 from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.forces.torque import Torque
-from coadjoint.validation import read_integer, read_positive
+from coadjoint.validation import read_positive
 
 METHODS = (Splitting(order=8, parts="free_body"), Splitting(order=6, parts="free_body"))
 STEPS_PER_RADIAN = 4.0  # of the fastest rotation
@@ -51,7 +51,7 @@ def spin_up(
 
     motion = IntegratedMotion(moving, x0, 1.0 / (STEPS_PER_RADIAN * fastest), METHODS, columns)
     model = BodyModel(np.diag(moments), w, torque=lambda t, A: moment)
-    times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
+    times = sample_times(last, samples)
     return CheckCase(
         name="spin_up",
         title="spin-up of a symmetric body by a constant torque",

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.checkcases.attitudes import stacked
-from coadjoint.checkcases.check_case import CheckCase, Columns, DerivedQuantity, Quantity
+from coadjoint.checkcases.check_case import CheckCase, Columns, DerivedQuantity, Quantity, sample_times
 from coadjoint.checkcases.integration import IntegratedMotion
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.systems.closed_forms.closed_form import rotate_about
 from coadjoint.systems.lattices.spin_lattice import spin_lattice
-from coadjoint.validation import read_integer, read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def spin_in_rotating_field(
         },
         quantities=(SPIN,),
         motion=motion,
-        times=np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000)),
+        times=sample_times(last, samples),
         accuracy=1e-11,
         basis="closed form, a rotation in axes that turn with the field",
         source="I. I. Rabi, Space quantization in a gyrating magnetic field, Phys. Rev. 51, 652 (1937)",
@@ -124,7 +124,7 @@ def damped_spin(
         },
         quantities=(SPIN,),
         motion=motion,
-        times=np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000)),
+        times=sample_times(last, samples),
         accuracy=1e-11,
         basis="closed form",
         source=(

@@ -9,11 +9,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from coadjoint.checkcases.attitudes import body_invariants, quaternions
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, DerivedQuantity
+from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, DerivedQuantity, sample_times
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.checkcases.rotating import with_axes
 from coadjoint.systems.bodies.inertia import read_vector
-from coadjoint.validation import read_integer, read_number, read_positive
+from coadjoint.validation import read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def top_case(
             float(np.linalg.norm(moments * w)),
         ),
     )
-    times = np.linspace(0.0, last, read_integer(samples, "samples", 2, 1_000_000))
+    times = sample_times(last, samples)
     return CheckCase(
         name=name,
         title=title,

@@ -11,10 +11,10 @@ import numpy as np
 
 from coadjoint.files.bodies.linkages import SLIDING, TURNING, UNITS, UNLIMITED, Joint, Link, Linkage
 from coadjoint.files.bodies.poses import by_quaternion
-from coadjoint.files.bodies.regular_content import content_of
 from coadjoint.files.bodies.xml_elements import Element
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import UNCHECKED_BYTES
+from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.mass_properties import MassProperties, Pose, identity_pose, placed, turned
 

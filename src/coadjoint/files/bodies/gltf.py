@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from coadjoint.files.bodies.regular_content import content_of
+from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
 
 MAGIC = b"glTF"

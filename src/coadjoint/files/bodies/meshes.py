@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from coadjoint.files.bodies.closed_surfaces import moments_of
 from coadjoint.files.bodies.gltf import files_of_gltf
-from coadjoint.files.bodies.regular_content import content_of
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import content_of
 from coadjoint.systems.bodies.mass_properties import ROUNDING, MassProperties
 from coadjoint.validation import read_positive
 

@@ -8,7 +8,7 @@ import xml.parsers.expat
 from pathlib import Path
 from typing import Any, NoReturn
 
-from coadjoint.files.bodies.regular_content import content_of
+from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
 
 MAX_XML_BYTES = 2**26
