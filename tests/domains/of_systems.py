@@ -116,8 +116,9 @@ OWN = {
         "hessian": Domain((None, spring_curvatures), (cosine, spring, 1.0, True, []), "hessian|potential"),
     },
     "gravitating_bodies": {
-        "order": one_of(4, 0, 2),
+        "order": one_of(4, 0, 2).plus(outside=("polyhedron",)),
         "higher_moments": structured((None, np.full((2, 25), 0.5)), (np.zeros((2, 24)), 1.0, True), keep=(None,)),
+        "surfaces": structured((None,), ([None, None], [(np.eye(3), [[0, 1, 2]]), None]), keep=(None,)),
     },
     "body": {
         "attitude": flag(usual=True),

@@ -23,6 +23,9 @@ UNIT = 1e-6  # deviation of the length of a spin from 1 that is taken for roundi
 BLOWN_UP = 1e100  # size of a state beyond which cubes of its numbers overflow: no function is the cause
 MOST_TEXT = 200  # characters of the message of an exception
 CORRECT = "correct the function, or end t_span before"
+ELSEWHERE = "take another x0, or end t_span before"
+REACHED = (0.5, 1.0, 1.5)
+"""Parts of a step after which states are searched for the cause; substeps of compositions go beyond its end."""
 Cause = tuple[str, str]
 """What gave what at which time, and what to do."""
 
@@ -127,10 +130,18 @@ def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause | None:
         for i, j in zip(*np.triu_indices(len(r), 1), strict=True):
             if np.array_equal(r[i], r[j]):
                 return f"the bodies {i} and {j} are at one place at t = {t:g}", "give them different positions"
+    remedy = CORRECT if plain.parameters is None else ELSEWHERE
     for time in (t, t + 0.5 * h, t + h):
         failure = _attempt(plain.hamiltonian.gradient, y, time)[1]
         if failure:
-            return f"the gradient of the energy of {plain.name} {failure} at t = {time:g}", CORRECT
+            return f"the gradient of the energy of {plain.name} {failure} at t = {time:g}", remedy
+    # A function that raises where the step leads; values that are not finite there may be those of a step too long.
+    slope = _attempt(plain.vector_field, y, t)[0]
+    for part in REACHED:
+        reached = y + part * h * slope
+        value, failure = _attempt(plain.hamiltonian.gradient, reached, t + part * h)
+        if value is None:
+            return f"the gradient of the energy of {plain.name} {failure} at t = {t + part * h:g}", remedy
     return None
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.files.bodies.closed_surfaces import moments_of
 from coadjoint.files.bodies.gltf import files_of_gltf
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import content_of
+from coadjoint.systems.bodies.closed_surfaces import moments_of
 from coadjoint.systems.bodies.mass_properties import ROUNDING, MassProperties
 from coadjoint.validation import read_positive
 
@@ -56,6 +56,7 @@ def properties_of_mesh(path: Path, scale: Any, mass: Any, density: Any) -> MassP
         moments.radius,
         total * moments.third,
         total * moments.fourth,
+        (moments.points, moments.triangles),
     )
 
 

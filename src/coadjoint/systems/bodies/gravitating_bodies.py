@@ -1,14 +1,15 @@
-"""Rigid bodies of any shapes under their mutual gravity, to second or fourth order in their sizes."""
+"""Rigid bodies under their mutual gravity: to second or fourth order in their sizes, or of polyhedra the full field."""
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations_with_replacement, permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.long_operations import warn_caller
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import (
     BodiesSystem,
@@ -26,18 +27,29 @@ from coadjoint.systems.bodies.body_pictures import (
     relative_positions,
     turning_bodies,
 )
+from coadjoint.systems.bodies.closed_surfaces import moments_of
 from coadjoint.systems.bodies.inertia import BodyInertia, anisotropic_part, check_products, read_bodies, read_in_range
+from coadjoint.systems.bodies.mass_properties import read_surface
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity, traceless_multipoles
+from coadjoint.systems.hamiltonians.polyhedron_gravity import Polyhedron, polyhedron, polyhedron_gravity
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import as_tuples, is_integer, read_finite
+from coadjoint.validation import as_tuples, is_integer, read_finite, read_list
 
 Floats = npt.NDArray[np.float64]
 
 ORDERS = (0, 2, 4)
 """Orders of the expansion in the sizes that are implemented."""
+POLYHEDRON = "polyhedron"
+"""The order of bodies of which some have the full field of their surface."""
+MAX_TRIANGLES = 10**5
+"""Largest number of triangles of a polyhedron: 6 ms for each evaluation of its field."""
+CENTRED = 1e-6
+"""Largest distance of the centre of mass of a surface from its origin, relative to its size, that is rounding."""
+SAME_INERTIA = 1e-2
+"""Largest difference of an inertia from that of the homogeneous polyhedron, relative to it, that does not warn."""
 
 
 PRIMARY, SECONDARY = (0.38, 0.39, 0.42), (0.0010, 0.0013, 0.0014)
@@ -98,18 +110,105 @@ def _relative(component: int) -> Any:
 
 
 def _energy(
-    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int, higher_moments: Any
+    inertias: npt.NDArray[Any],
+    masses: npt.NDArray[Any],
+    G: npt.NDArray[Any],
+    *,
+    order: Any,
+    higher_moments: Any,
+    surfaces: Any,
 ) -> tuple[npt.NDArray[Any]]:
     return kinetic_matrix(inertias, masses)
 
 
 def _potential(
-    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int, higher_moments: Any
+    inertias: npt.NDArray[Any],
+    masses: npt.NDArray[Any],
+    G: npt.NDArray[Any],
+    *,
+    order: Any,
+    higher_moments: Any,
+    surfaces: Any,
 ) -> FunctionOfConstants:
     tensors = [np.diag(one) if one.ndim == 1 else 0.5 * (one + one.T) for one in inertias]
+    coordinates = potential_coordinates(len(masses))
+    if order == POLYHEDRON:
+        shapes = [None if one is None else _shape_of(*one, f"surfaces[{k}]") for k, one in enumerate(surfaces)]
+        # The second moments of a polyhedron are those of its surface, as the others are.
+        tensors = [
+            tensor if shape is None else mass * shape.inertia
+            for tensor, mass, shape in zip(tensors, masses, shapes, strict=True)
+        ]
+        anisotropic = np.stack([anisotropic_part(one) for one in tensors])
+        fields = [None if shape is None else shape.field for shape in shapes]
+        return polyhedron_gravity(coordinates, masses, anisotropic, G, fields)
     anisotropic = np.stack([anisotropic_part(one) * (order > 0) for one in tensors])
     multipoles = None if higher_moments is None else _multipoles(np.asarray(higher_moments))
-    return mutual_gravity(potential_coordinates(len(masses)), masses, anisotropic, G, order, multipoles)
+    return mutual_gravity(coordinates, masses, anisotropic, G, order, multipoles)
+
+
+class _Shape(NamedTuple):
+    """The field of a homogeneous polyhedron, and its inertia tensor per mass."""
+
+    field: Polyhedron
+    inertia: Floats
+
+
+@lru_cache(maxsize=8)
+def _shape_of(vertices: Any, triangles: Any, what: str) -> _Shape:
+    """Validate the surface of a body, of which members of an ensemble and derivatives share the table."""
+    found = moments_of(*read_surface((vertices, triangles), what), what)
+    away = float(np.sqrt((found.centre**2).sum()))
+    if away > CENTRED * found.radius:
+        raise ValueError(
+            f"{what} has its centre of mass at ({', '.join(f'{c:.6g}' for c in found.centre)}); subtract this from its "
+            "vertices, which are positions from the centre of mass"
+        )
+    inertia = np.trace(found.second) * np.eye(3) - found.second
+    return _Shape(polyhedron(found.points, found.triangles, found.volume), inertia)
+
+
+def _read_surfaces(given: Any, order: Any, bodies: tuple[BodyInertia, ...], masses: Floats) -> Any:
+    """Return of each body its surface as tuples, or None; None if the order is another one."""
+    if given is not None and order != POLYHEDRON:
+        raise ValueError(f"surfaces was given with order={order}; they have an effect with order={POLYHEDRON!r}")
+    if order != POLYHEDRON:
+        return None
+    surfaces: Any = [None if one.source is None else one.source.surface for one in bodies]
+    if given is not None:
+        surfaces = read_list(given, "surfaces", "give one surface for each body, or None for a body that has none")
+    if len(surfaces) != len(bodies):
+        raise ValueError(f"surfaces has {len(surfaces)} entries, and inertias {len(bodies)} bodies; give one for each")
+    found: list[Any] = []
+    for k, one in enumerate(surfaces):
+        if one is None or (isinstance(one, tuple | list) and not one):
+            found.append(None)
+            continue
+        what = f"surfaces[{k}]"
+        points, triangles = read_surface(one, what)
+        if len(triangles) > MAX_TRIANGLES:
+            raise ValueError(
+                f"{what} has {len(triangles)} triangles; at most {MAX_TRIANGLES} are supported: simplify the mesh"
+            )
+        found.append((as_tuples(points), as_tuples(triangles)))
+        _warn_of_inertia(masses[k] * _shape_of(*found[k], what).inertia, bodies[k].tensor, k)
+    if not any(found):
+        raise ValueError(
+            f"order is {POLYHEDRON!r}, and none of the bodies has a surface; give bodies from meshes (co.bodies.read), "
+            "or surfaces="
+        )
+    return tuple(found)
+
+
+def _warn_of_inertia(homogeneous: Floats, tensor: Floats, k: int) -> None:
+    """Warn if a body has another inertia than the homogeneous one of its surface."""
+    off = float(np.abs(tensor - homogeneous).max() / np.abs(homogeneous).max())
+    if off > SAME_INERTIA:
+        warn_caller(
+            f"inertias[{k}] differs by {off:.2g} of its size from that of the homogeneous body in surfaces[{k}], by "
+            "which its field is computed; check the units of both, or take a body from co.bodies.read",
+            UserWarning,
+        )
 
 
 THIRD, FOURTH = (list(combinations_with_replacement(range(3), order)) for order in (3, 4))
@@ -129,7 +228,7 @@ def _multipoles(rows: Floats) -> tuple[Floats, Floats]:
     return np.array([one.ravel() for one, _ in found]), np.array([one.ravel() for _, one in found])
 
 
-def _read_higher_moments(given: Any, order: int, bodies: tuple[BodyInertia, ...], masses: Floats) -> Floats | None:
+def _read_higher_moments(given: Any, order: Any, bodies: tuple[BodyInertia, ...], masses: Floats) -> Floats | None:
     """Return the third and fourth moments of each body, (k, 25), or None if all are ellipsoids or order is less."""
     if given is not None:
         rows = read_finite(given, "higher_moments")
@@ -188,8 +287,9 @@ def gravitating_bodies(
     inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),
     masses: npt.ArrayLike | None = None,
     G: float = 1.0,
-    order: int = 2,
+    order: int | str = 2,
     higher_moments: npt.ArrayLike | None = None,
+    surfaces: Any = None,
 ) -> BodiesSystem:
     """Return rigid bodies under their mutual gravity: the full problem of two or more bodies, orbits and rotations.
 
@@ -211,12 +311,17 @@ def gravitating_bodies(
         Masses, positive. By default those of bodies from files, and otherwise 3 and 1.
     G : float
         Gravitational constant, positive; 6.6743e-11 in SI units.
-    order : {2, 4, 0}
-        Order of the expansion in the sizes of the bodies; to order 0 they attract each other as points.
+    order : {2, 4, 0, "polyhedron"}
+        Order of the expansion in the sizes of the bodies; to order 0 they attract each other as points. With
+        ``"polyhedron"`` those with a surface have their full field, and the others are of order 2.
     higher_moments : (k, 25), optional
         Third and fourth moments of each body about its centre of mass, for `order` 4: integrals over the mass of the
         products xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz, zzz, then xxxx, xxxy, ..., zzzz of the coordinates in its
         frame (mass times length cubed, and to the fourth). By default those of bodies from meshes, and of ellipsoids.
+    surfaces : sequence of k (vertices, triangles) or None, optional
+        Closed surface of each body for ``order="polyhedron"``, None or () for a body without one: vertices (n, 3) from
+        its centre of mass in its frame (length), and triangles (m, 3), the numbers of their vertices counter-clockwise
+        seen from outside, at most 10^5. The mass is spread evenly within it. By default those of bodies from meshes.
 
     Returns
     -------
@@ -227,18 +332,22 @@ def gravitating_bodies(
     Raises
     ------
     TypeError, ValueError
-        Arguments of wrong shapes, moments or masses that no body has, `G` that is not positive, another order, or
-        `higher_moments` without order 4.
+        Arguments of wrong shapes, moments or masses that no body has, `G` that is not positive, another order,
+        `higher_moments` without order 4, `surfaces` without the order of polyhedra or the reverse, or a surface that is
+        open, turned inside out, or not about its centre of mass. From the energy and its gradient: a state with a body
+        on or below the surface of a polyhedron.
 
     Warns
     -----
     UserWarning
-        A principal moment exceeds the sum of the other two, which is impossible for a body.
+        A principal moment exceeds the sum of the other two, which is impossible for a body; or an inertia differs by
+        more than 1 per cent from that of the homogeneous body in its surface.
 
     Notes
     -----
     MacCullagh (1855); Maciejewski, Celest. Mech. Dyn. Astron. 63, 1 (1995), for the full two-body problem. The fourth
-    moments of an ellipsoid are 5/(7 m) times the products of its second moments. With
+    moments of an ellipsoid are 5/(7 m) times the products of its second moments. Polyhedra: Werner and Scheeres,
+    Celest. Mech. Dyn. Astron. 65, 313 (1997); the rounding of their field is about 1e-16 (s/size)^2 of it. With
     ``Splitting(parts="free_body")`` the parts are the free bodies, one kick, and straight paths of the centres.
 
     Examples
@@ -249,16 +358,33 @@ def gravitating_bodies(
     >>> sol = co.integrate(pair, x0, (0, 10), 0.05, co.Splitting(order=4, parts="free_body"))
     >>> bool(sol.drift()["energy"] < 1e-6), sol.rotation.as_matrix().shape
     (True, (402, 3, 3))
+
+    A particle over a tetrahedron that turns, whose surface is given:
+
+    >>> corners = [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]
+    >>> faces = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]
+    >>> rock = co.systems.gravitating_bodies(
+    ...     [[1.2] * 3, [0, 0, 0]], (3.0, 1e-6), order="polyhedron", surfaces=[(corners, faces), None]
+    ... )
+    >>> x0 = rock.state([[0, 0, 0], [2, 0, 0]], [[0, 0, 0], [0, 1.2, 0]], angular_velocities=[[0, 0, 0.5], [0, 0, 0]])
+    >>> rock.energy(x0) < 0
+    True
     """
     found, m = read_bodies(inertias, masses, (3.0, 1.0))
     gravity = read_in_range(G, "G")
-    if not is_integer(order) or order not in ORDERS:
-        raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
+    full = isinstance(order, str) and order == POLYHEDRON
+    if not full and (not is_integer(order) or order not in ORDERS):
+        raise ValueError(
+            f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes, and with "
+            f"order={POLYHEDRON!r} in full"
+        )
     check_products("G and masses", lambda: gravity * m[:, None] * m)
-    higher = _read_higher_moments(higher_moments, int(order), found, m)
-    parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
-    parameters["higher_moments"] = None if higher is None else as_tuples(higher)
+    others: dict[str, Any] = {"order": POLYHEDRON if full else int(order)}
+    higher = _read_higher_moments(higher_moments, others["order"], found, m)
+    others["higher_moments"] = None if higher is None else as_tuples(higher)
+    others["surfaces"] = _read_surfaces(surfaces, others["order"], found, m)
+    parameters = {**inertial_parameters(found, m), "G": gravity, **others}
     tensors = np.array([one.tensor for one in found])
-    V = _potential(tensors, m, np.array(gravity), order=int(order), higher_moments=higher).hamiltonian()
+    V = _potential(tensors, m, np.array(gravity), **others).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)
     return system_of_bodies("gravitating_bodies", found, m, V, parameters, integrals)

@@ -291,8 +291,8 @@ def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
 
 
 def inverse_of_moving(inertia: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the inverse of moments, zero where they are, or of a tensor, which is not that of a rod; also complex."""
-    if inertia.ndim == 2:
+    """Return the inverse of moments, zero where they are, or of a tensor, of a point or no rod; also complex."""
+    if inertia.ndim == 2 and inertia.real.any():
         return inverse_of(inertia, "inertia")
     inverse = np.zeros_like(inertia)
     moving = inertia.real != 0.0

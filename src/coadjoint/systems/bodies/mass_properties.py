@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from coadjoint.short_repr import html_table, short
 from coadjoint.validation import Immutable, read_finite, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
+Surface = tuple[Floats, npt.NDArray[np.int64]]
+"""Vertices (n, 3) and triangles (m, 3) of a surface."""
+Number = TypeVar("Number", np.float64, np.int64)
 
 FILE_DIGITS = 1e-3
 """Largest excess of a moment over the sum of the others, relative to it, that is rounding in a file of three digits."""
@@ -54,6 +57,10 @@ class MassProperties(Immutable):
         Integrals of ``y_a y_b y_c dm``, y from the centre of mass, in the axes of the frame.
     fourth_moments : (3, 3, 3, 3), optional
         Integrals of ``y_a y_b y_c y_d dm``. With `third_moments` for ``gravitating_bodies(..., order=4)``.
+    surface : tuple of (n, 3) and (m, 3), optional
+        Closed surface of a homogeneous body, as a mesh has it: vertices from the centre of mass in the axes of the
+        frame (length), and of each triangle the numbers of its vertices, counter-clockwise seen from outside. For
+        ``gravitating_bodies(..., order="polyhedron")``, which validates that it is closed.
 
     Attributes
     ----------
@@ -94,6 +101,7 @@ class MassProperties(Immutable):
         radius: float | None = None,
         third_moments: npt.ArrayLike | None = None,
         fourth_moments: npt.ArrayLike | None = None,
+        surface: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     ) -> None:
         for name, text in (("frame", frame), ("units", units)):
             if not isinstance(text, str):
@@ -121,6 +129,7 @@ class MassProperties(Immutable):
             radius=None if radius is None else read_positive(radius, "radius"),
             third_moments=_moments_of_order(third_moments, "third_moments", 3),
             fourth_moments=_moments_of_order(fourth_moments, "fourth_moments", 4),
+            surface=None if surface is None else read_surface(surface, "surface"),
         )
         if (self.third_moments is None) != (self.fourth_moments is None):
             raise ValueError("third_moments and fourth_moments belong together; give both or neither")
@@ -134,6 +143,7 @@ class MassProperties(Immutable):
     radius: float | None
     third_moments: Floats | None
     fourth_moments: Floats | None
+    surface: Surface | None
 
     def _check(self, what: str) -> None:
         """Raise ValueError for a tensor that no body has; warn of a moment that its size does not allow."""
@@ -237,7 +247,7 @@ def _shown(values: Iterable[float]) -> str:
     return f"({', '.join(f'{value:.6g}' for value in values)})"
 
 
-def _fixed(array: Floats) -> Floats:
+def _fixed(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     array.setflags(write=False)
     return array
 
@@ -254,6 +264,22 @@ def _moments_of_order(values: Any, what: str, order: int) -> Floats | None:
     ):
         raise ValueError(f"{what} is not symmetric in its axes; give the integrals of products of coordinates")
     return _fixed(tensor)
+
+
+def read_surface(given: Any, what: str) -> Surface:
+    """Validate vertices, (n, 3), and triangles of their numbers, (m, 3); not that they are a closed surface."""
+    if not isinstance(given, tuple | list) or len(given) != 2:
+        raise ValueError(f"{what} is {short(given)}; give a pair of vertices (n, 3) and triangles (m, 3)")
+    points, numbers = read_finite(given[0], f"vertices of {what}"), read_finite(given[1], f"triangles of {what}")
+    for array, name in ((points, "vertices"), (numbers, "triangles")):
+        if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+            raise ValueError(f"{name} of {what} have shape {array.shape}; give (number, 3)")
+    if (np.floor(numbers) != numbers).any() or numbers.min() < 0 or numbers.max() >= len(points):
+        raise ValueError(
+            f"triangles of {what} must be whole numbers from 0 to {len(points) - 1}, those of its vertices; give three "
+            "of each"
+        )
+    return _fixed(points), _fixed(numbers.astype(np.int64))
 
 
 def _of_point(d: Floats) -> Floats:
@@ -289,7 +315,7 @@ def identity_pose() -> Pose:
 def placed(body: MassProperties, pose: Pose, frame: str) -> MassProperties:
     """Return the same body in the frame in which the pose of its own frame is given."""
     R = pose.rotation
-    third, fourth = body.third_moments, body.fourth_moments
+    third, fourth, surface = body.third_moments, body.fourth_moments, body.surface
     return _derived(
         body,
         inertia=_fixed(_symmetric(product(product(R, body.inertia), R.T))),
@@ -297,11 +323,12 @@ def placed(body: MassProperties, pose: Pose, frame: str) -> MassProperties:
         frame=frame,
         third_moments=None if third is None else _fixed(np.einsum("ai,bj,ck,ijk->abc", R, R, R, third)),
         fourth_moments=None if fourth is None else _fixed(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, fourth)),
+        surface=None if surface is None else (_fixed(np.einsum("ij,nj->ni", R, surface[0])), surface[1]),
     )
 
 
 def composed(parts: Sequence[MassProperties], frame: str) -> MassProperties:
-    """Return one rigid body of several in the same frame; higher moments are left out."""
+    """Return one rigid body of several in the same frame; higher moments and surfaces are left out."""
     total = sum(part.mass for part in parts)
     centre = np.asarray(sum((part.mass / total * part.centre_of_mass for part in parts), np.zeros(3)))
     away = [part.centre_of_mass - centre for part in parts]
@@ -317,6 +344,7 @@ def composed(parts: Sequence[MassProperties], frame: str) -> MassProperties:
         radius=max(radii) if len(radii) == len(parts) else None,
         third_moments=None,
         fourth_moments=None,
+        surface=None,
     )
 
 

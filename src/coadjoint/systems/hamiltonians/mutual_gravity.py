@@ -24,15 +24,20 @@ def mutual_gravity(
     # formula without the difference of large terms. Coordinates: attitudes, (k, 3, 3), then positions, (k, 3).
     # Constants: G, masses, D, the sums of the squares of the entries of each D, and the multipoles of third and fourth
     # order, (k, 27) and (k, 81), if the bodies are no ellipsoids.
-    count, squares = len(masses), np.array([(one * one).sum() for one in anisotropic])
     higher = () if multipoles is None else multipoles
-    constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares, *map(np.ravel, higher)])
-    value, gradient, hessian = _functions(count, order, multipoles is not None)
-    return FunctionOfConstants(coordinates, constants, value, gradient, hessian, number_of_shares(count))
+    constants = np.concatenate([constants_of_gravity(masses, anisotropic, gravity), *map(np.ravel, higher)])
+    value, gradient, hessian = gravity_functions(len(masses), order, multipoles is not None)
+    return FunctionOfConstants(coordinates, constants, value, gradient, hessian, number_of_shares(len(masses)))
+
+
+def constants_of_gravity(masses: Numbers, anisotropic: Numbers, gravity: Any) -> Numbers:
+    """Return G, the masses, the anisotropic parts of the inertias, and the sums of the squares of their entries."""
+    squares = np.array([(one * one).sum() for one in anisotropic])
+    return np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
 
 
 @lru_cache(maxsize=64)
-def _functions(count: int, order: int, multipoles: bool) -> tuple[Callable[..., Any], ...]:
+def gravity_functions(count: int, order: int, multipoles: bool) -> tuple[Callable[..., Any], ...]:
     """Return V and its first and second derivatives as functions of y and of the constants; compiled code is reused."""
     axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
     bodies_of = bodies_of_shares(count)
@@ -165,14 +170,14 @@ def _functions(count: int, order: int, multipoles: bool) -> tuple[Callable[..., 
         return functions
     added = fourth_order_terms(count, not multipoles)
     if multipoles:
-        added = _sum_of(added, multipole_terms(count))
-    return _sum_of(functions, added)
+        added = sum_of(added, multipole_terms(count))
+    return sum_of(functions, added)
 
 
 Functions = tuple[Callable[..., Any], ...]
 
 
-def _sum_of(first: Functions, second: Functions) -> Functions:
+def sum_of(first: Functions, second: Functions) -> Functions:
     """Return the sum of two functions with their derivatives."""
     v, g, h = first
     more_v, more_g, more_h = second
@@ -186,7 +191,7 @@ def _sum_of(first: Functions, second: Functions) -> Functions:
 STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its square vanishes beside one
 
 
-def _by_complex_steps(gradient: Callable[..., Any]) -> Callable[..., Any]:
+def by_complex_steps(gradient: Callable[..., Any]) -> Callable[..., Any]:
     """Return the second derivatives of a function from its gradient, which is analytic."""
 
     def hessian(y: Any, constants: Any) -> Any:
@@ -318,7 +323,7 @@ def fourth_order_terms(count: int, ellipsoids: bool = True) -> tuple[Callable[..
                     result[axes + 3 * j + a] -= along * R[a] / square
         return result
 
-    return value, gradient, _by_complex_steps(gradient)
+    return value, gradient, by_complex_steps(gradient)
 
 
 def multipole_terms(count: int) -> tuple[Callable[..., Any], ...]:
@@ -378,7 +383,7 @@ def multipole_terms(count: int) -> tuple[Callable[..., Any], ...]:
                         result[axes + 3 * one + a] -= push
         return result
 
-    return value, gradient, _by_complex_steps(gradient)
+    return value, gradient, by_complex_steps(gradient)
 
 
 def traceless_multipoles(third: Numbers, fourth: Numbers) -> tuple[Numbers, Numbers]:

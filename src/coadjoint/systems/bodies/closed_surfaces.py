@@ -20,7 +20,9 @@ BLOCK = 2**14
 
 
 class Moments(NamedTuple):
-    """Volume, centre, and means of products of two, three and four coordinates about it."""
+    """Volume, centre, and means of products of two, three and four coordinates about it, and the surface: vertices from
+    the centre, of which no two are equal, and triangles.
+    """
 
     volume: float
     centre: Floats
@@ -28,6 +30,8 @@ class Moments(NamedTuple):
     third: Floats
     fourth: Floats
     radius: float
+    points: Floats
+    triangles: Integers
 
 
 def moments_of(vertices: Floats, faces: Integers, what: str) -> Moments:
@@ -60,6 +64,8 @@ def moments_of(vertices: Floats, faces: Integers, what: str) -> Moments:
         third / volume * size**3,
         fourth / volume * size**4,
         radius * size,
+        (scaled - centre) * size,
+        triangles,
     )
 
 
