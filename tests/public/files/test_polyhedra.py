@@ -40,11 +40,11 @@ def beside(body, *others, masses=None, **options):
     return S.gravitating_bodies([body, *others], [body.mass, *given], order="polyhedron", **options)
 
 
-def potential_of_box(at):
-    """Return the integral of 1/r over the box, and its gradient (MacMillan 1930)."""
+def potential_of_box(at, half=HALF):
+    """Return the integral of 1/r over a box, and its gradient (MacMillan 1930)."""
     U, g = 0.0, np.zeros(3)
     for signs in product((-1.0, 1.0), repeat=3):
-        x, y, z = d = np.array(signs) * HALF - at
+        x, y, z = d = np.array(signs) * half - at
         r, sign = np.linalg.norm(d), np.prod(signs)
         logs = np.log(d + r)
         angles = np.arctan(np.array([y * z / (x * r), z * x / (y * r), x * y / (z * r)]))
@@ -71,6 +71,34 @@ def test_a_box_in_closed_form():
         np.testing.assert_allclose(field[:3], torque, rtol=0, atol=40 * size)
         curvature = pair.hamiltonian.hessian(x)[-4:-1, -4:-1]
         assert abs(np.trace(curvature)) < 1e-13 * lost * np.abs(curvature).max()
+
+
+BOXES = {  # of each its place, half of its edges, and whether it is filled
+    "in an L": [((0, 0, 0), (1, 1, 1), 1), ((2, 0, 0), (1, 1, 1), 1), ((0, 2, 0), (1, 1, 1), 1)],
+    "at an edge": [((0, 0, 0), (1, 1, 1), 1), ((2, 2, 0), (1, 1, 1), 1)],
+    "at a corner": [((0, 0, 0), (1, 1, 1), 1), ((2, 2, 2), (1, 1, 1), 1)],
+    "with a cavity": [((0, 0, 0), (2, 2, 2), 1), ((0.5, 0.25, 0), (1, 1, 1), -1)],
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_boxes_that_touch_and_cavities(name):
+    """The sum of closed forms near corners that go inward, and in a cavity; there edges have up to four triangles."""
+    unit = np.array(list(product((-1.0, 1.0), repeat=3)))
+    boxes = [(np.array(place), np.array(half), sign) for place, half, sign in BOXES[name]]
+    body, centre = homogeneous([(sign, place + half * unit) for place, half, sign in boxes])
+    pair = beside(body, POINT)
+    for at in ([1.1, 1.2, 0.3], [1.05, -1.1, 1.02], [0.2, 1.3, 1.2], [0.6, 0.1, -0.4], [-2.3, 1.7, 0.9]):
+        inside = sum(sign * (np.abs(np.array(at) - place) < half).all() for place, half, sign in boxes)
+        x = pair.state([POINT, A.apply(at - centre)], attitudes=[A, Rotation.identity()])
+        if inside:
+            with refused(ValueError, "below the surface"):
+                pair.energy(x)
+            continue
+        fields = [(sign, *potential_of_box(np.array(at) - place, half)) for place, half, sign in boxes]
+        g = sum(sign * gradient for sign, _, gradient in fields)
+        assert pair.energy(x) == pytest.approx(-RHO * 1e-3 * sum(sign * U for sign, U, _ in fields), rel=1e-13)
+        np.testing.assert_allclose(pair.vector_field(x)[27:30], RHO * 1e-3 * A.apply(g), rtol=0, atol=1e-15)
 
 
 def test_integrals_over_the_volume():
