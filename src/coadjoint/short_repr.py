@@ -211,11 +211,19 @@ def _(value: Any) -> Any:
 @plain.register(tuple)
 @plain.register(list)
 def _(value: Any) -> Any:
+    if REAL.issuperset(map(type, value)):
+        return list(value)
     return plain(np.array(value)) if _has_complex(value) else [plain(entry) for entry in value]
 
 
+REAL = frozenset({float, int})
+"""Types of the rows of large tables, which are not searched number by number."""
+
+
 def _has_complex(value: Any) -> bool:
-    return any(map(_has_complex, value)) if isinstance(value, tuple | list) else isinstance(value, complex)
+    if not isinstance(value, tuple | list):
+        return isinstance(value, complex)
+    return not REAL.issuperset(map(type, value)) and any(map(_has_complex, value))
 
 
 @plain.register(Mapping)

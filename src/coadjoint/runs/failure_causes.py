@@ -136,11 +136,11 @@ def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause | None:
         if failure:
             return f"the gradient of the energy of {plain.name} {failure} at t = {time:g}", remedy
     # A function that raises where the step leads; values that are not finite there may be those of a step too long.
-    slope = _attempt(plain.vector_field, y, t)[0]
+    slope = plain.vector_field(y, t)
     for part in REACHED:
         reached = y + part * h * slope
         value, failure = _attempt(plain.hamiltonian.gradient, reached, t + part * h)
-        if value is None:
+        if value is None and np.abs(reached).max() < BLOWN_UP:
             return f"the gradient of the energy of {plain.name} {failure} at t = {t + part * h:g}", remedy
     return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -178,6 +179,8 @@ class Entry:
         match self.value:
             case dict():
                 return self.plain_table()
+            case list() as row if {*map(type, row)} == {float} and all(map(math.isfinite, row)):  # of large tables
+                return list(row)
             case list():
                 return [entry.plain() for entry in self.entries()]
             case str():
