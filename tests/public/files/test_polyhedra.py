@@ -224,6 +224,43 @@ def test_derivatives_and_integrals(name):
             np.testing.assert_allclose(H.hessian(x) @ along, slopes, rtol=0, atol=1e-6 * np.abs(slopes).max())
 
 
+COUNT = 56  # and the box: bodies from which on threads share the pairs
+
+
+def particles():
+    """Return masses and places of particles about the box, and the system of all."""
+    rng = np.random.default_rng(6)
+    r = rng.normal(size=(COUNT, 3))
+    r *= ((3.0 + rng.random(COUNT)) / np.linalg.norm(r, axis=1))[:, None]
+    m = 1e-3 * (0.1 + rng.random(COUNT))
+    return m, r, beside(box(), *[POINT] * COUNT, masses=m)
+
+
+def test_many_particles():
+    """Sums over pairs: of the box and each, and of the particles alone."""
+    m, r, system = particles()
+    single = beside(box(), POINT, masses=[1.0])
+    points = S.gravitating_bodies([POINT] * COUNT, m, order=0)
+    x, y, pairs = system.state([POINT, *r]), points.state(r), [single.state([POINT, at]) for at in r]
+    energy = sum(mass * single.energy(one) for mass, one in zip(m, pairs, strict=True)) + points.energy(y)
+    assert system.energy(x) == pytest.approx(energy, rel=1e-13)
+    forces = system.vector_field(x)[12 * (COUNT + 1) :][: 3 * (COUNT + 1)].reshape(-1, 3)
+    pulls = np.array([mass * single.vector_field(one)[27:30] for mass, one in zip(m, pairs, strict=True)])
+    between = points.vector_field(y)[12 * COUNT :][: 3 * COUNT].reshape(-1, 3)
+    wanted = np.concatenate([-pulls.sum(axis=0)[None], pulls + between])
+    np.testing.assert_allclose(forces, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
+
+
+@pytest.mark.long
+def test_particles_on_threads():
+    _, r, system = particles()
+    x = system.state([POINT, *r])
+    runs = [co.integrate(system, x, (0, 0.05), 0.01, co.Splitting(), threads=n) for n in (1, 2)]
+    np.testing.assert_array_equal(runs[0].x, runs[1].x)
+    short = co.integrate(system, x, (0, 0.05), 0.01, co.GaussLegendre(2))
+    np.testing.assert_allclose(runs[0].x, short.x, rtol=0, atol=1e-5)
+
+
 # Runs: a moonlet and a box that turns, on an orbit within the sphere around the box, and out of it.
 
 
@@ -416,3 +453,15 @@ def test_an_inertia_that_is_not_that_of_the_surface_warns():
         S.gravitating_bodies(
             [4.0 * body.inertia, POINT], (body.mass, 1.0), order="polyhedron", surfaces=[body.surface, None]
         )
+
+
+def test_the_field_is_that_of_the_surface():
+    """Not of the inertia beside it, which turns the body: also where second moments of two bodies are subtracted."""
+    bodies = two_tetrahedra()
+    surfaces, masses = [one.surface for one in bodies], [one.mass for one in bodies]
+    pairs = [
+        S.gravitating_bodies([k * one.inertia for one in bodies], masses, order="polyhedron", surfaces=surfaces)
+        for k in (1.0, 1.005)
+    ]
+    x = pairs[0].state([POINT, [2.5, 1.0, -1.5]])
+    assert pairs[0].energy(x) == pairs[1].energy(x)
