@@ -9,7 +9,7 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import families, fitting
 from coadjoint.choosing import pilot as pilots
-from coadjoint.choosing.fitting import StepFit
+from coadjoint.choosing.fitting import ROUNDING_MARGIN, StepFit, confirmed_fit, roundoff
 from coadjoint.choosing.fitting import fit as fit_steps
 from coadjoint.choosing.pilot import PilotErrors, Trial
 
@@ -53,6 +53,23 @@ def fitted(error, order, goal, limit=math.inf, windows=1.0, share=1.0):
     """Fit from 40 steps in each window; errors at the end are those of a window times the number of windows."""
     found = found_of(error, 1, windows, method=co.Taylor(order), share=share)
     return fit_steps(found.pilot, found.candidate, goal, limit, 40.0 * windows)
+
+
+@pytest.mark.parametrize("order", [4, 16])
+@pytest.mark.parametrize(("windows", "least", "most"), [(1.0, 0.3, 0.9), (4.0, 0.15, 0.45)])
+@pytest.mark.parametrize("start", [0.6, 1.0, 1.7])
+def test_errors_use_what_is_allowed(start, windows, least, most, order):
+    """Whatever the fit was; beyond the window only half of it, since growth is extrapolated."""
+
+    def error(steps):
+        return (60 / steps) ** order
+
+    needed = 60 * (1e-6 / windows) ** (-1.0 / order) * windows
+    found = confirmed_fit(found_of(error, int(start * needed), windows, method=co.Taylor(order)), 1e-6)
+    assert least * 1e-6 <= found.error <= most * 1e-6 and len(found.pilot.tried) <= 4
+    # Where the error jumps, it is nearly the least number of steps that serves.
+    found = confirmed_fit(found_of(lambda steps: 1e-9 if steps > 100 else 1e-3, int(150 * windows), windows), 1e-6)
+    assert 100 < found.steps / windows <= 120
 
 
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
@@ -100,6 +117,20 @@ def test_expensive_scheme_is_abandoned(windows, share):
     for times, abandoned in ((4.0, True), (5.0, needed > 1.375 * 100.0), (10.0, False)):
         found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=times * limit, **given)
         assert found.cost == found.steps * share and (len(found.pilot.tried) < 3) == abandoned, found.pilot.tried
+
+
+@pytest.mark.parametrize("windows", [1.0, 1000.0])
+@pytest.mark.parametrize("seen", [1e-9, 1e-16])
+@pytest.mark.parametrize("method", [co.Taylor(tolerance=1e-12), co.Taylor(16)], ids=str)
+def test_rounding_of_variable_steps_includes_the_trial(method, seen, windows):
+    """The excess of its error over that of the tolerance, if that is above the modelled rounding."""
+    fit = found_of(None, 40, windows, method=method)
+    trial = fit.trial._replace(growth=PilotErrors(0.1 * seen, 0.5 * seen, seen))
+    found = StepFit(fit.pilot, fit.candidate, 40, 0.25 * seen * windows, trial)
+    model = roundoff(fit.pilot, 40, 0, True, windows, ROUNDING_MARGIN)
+    assert found.end == pytest.approx(seen * windows)
+    assert found.roundoff == pytest.approx(max(0.75 * seen * windows, model) if method.own_steps else model)
+    assert (0.75 * seen * windows > model) == (seen == 1e-9)
 
 
 def test_families_differ_in_order_only():

@@ -1,9 +1,12 @@
 """Warnings of long operations: estimates beforehand, remaining times, nested and parallel operations, the command."""
 
+import contextlib
+import functools
 import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +50,21 @@ def test_long_work_warns_once_and_the_remaining_time_follows_from_the_part(clock
     assert warnings_of(work) == [f"certify has taken 8 s so far{left}; now it computes the long run; Ctrl-C ends it"]
 
 
+def test_only_the_outermost_operation_warns_and_failed_ones_end(clock):
+    def work():
+        with long_operation("certify"):
+            clock[0] += 4.0
+            for _ in range(2):
+                with contextlib.suppress(LookupError), long_operation("choose"):
+                    clock[0] += 4.0
+                    note_progress("a pilot run")
+                    raise LookupError
+        clock[0] += 100.0
+        note_progress("nothing")
+
+    assert warnings_of(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
+
+
 def test_calls_of_one_function_are_independent(clock):
     """Nested, in sequence, and in two threads of which the first to begin is the first to end."""
     entered = [threading.Event(), threading.Event()]
@@ -73,6 +91,21 @@ def test_calls_of_one_function_are_independent(clock):
         assert entered[0].wait(timeout=60)
         second = pool.submit(beside, 1)
         assert first.exception(timeout=60) is None and second.exception(timeout=60) is None
+
+
+def test_the_caller_is_found_through_library_decorators_only():
+    """A decorated function of the caller counts as the caller."""
+
+    @functools.wraps(warn_if_long)
+    def wrapped(*args):
+        return warn_if_long(*args)
+
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        wrapped("a run", 42.0)
+    (one,) = found
+    line = Path(__file__).read_text().splitlines()[one.lineno - 1]
+    assert one.filename == __file__ and "return warn_if_long(*args)" in line
 
 
 def test_the_command_prints_the_warning_immediately():

@@ -51,6 +51,47 @@ def test_steps_in_more_digits_do_not_use_the_numbers_of_fewer(scheme):
 
 
 U = 2.0**-53
+BASES = {
+    "so(3)": co.algebras.so(3),
+    "sl(2)": co.algebras.sl(2),
+    "e(3)": co.algebras.e(3),
+    "Heisenberg": co.algebras.heisenberg(1),
+    "spiral": co.algebras.get("A3,7", a=0.5),
+    "scaling": co.LieAlgebra([(0, 1, 1, -1.0), (0, 2, 2, 2.0), (0, 2, 1, 1.0)], dim=3),
+}
+
+
+def drawn_basis(rng, n):
+    """A matrix of whole numbers with determinant one or minus one, times powers of two with signs."""
+    lower, upper = rng.integers(-1, 2, (2, n, n))
+    T = (np.tril(lower, -1) + np.eye(n)) @ (np.triu(upper, 1) + np.eye(n))
+    return np.diag(rng.choice([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0], n)) @ T
+
+
+def of_one_pattern(name, rng):
+    """Three copies of an algebra in one basis up to the sizes and signs of its elements."""
+    algebra = BASES[name]
+    if rng.random() < 0.6:
+        algebra = co.algebras.change_of_basis(algebra, drawn_basis(rng, algebra.dim))
+    scales = [np.diag(rng.choice([-3.0, -1.0, -0.5, 0.5, 1.0, 2.0], algebra.dim)) for _ in range(3)]
+    if rng.random() < 0.5:
+        scales = [np.eye(algebra.dim) * factor for factor in (1.0, -2.0, 0.5)]
+    return co.algebras.direct_sum(*(co.algebras.change_of_basis(algebra, scale) for scale in scales))
+
+
+def drawn_system(name, seed):
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    algebra = of_one_pattern(name, rng)
+    n = algebra.dim
+    if seed % 2:  # one full matrix for all copies, with other linear terms
+        A = np.triu(rng.integers(-4, 5, (n // 3, n // 3)) / 8.0)
+        M = np.kron(np.eye(3), A + A.T - np.diag(np.diag(A) * rng.choice([1.0, 2.0])))
+    else:
+        A = np.triu(rng.integers(-4, 5, (n, n)) / 4.0 * (rng.random((n, n)) < 0.25))
+        M = np.diag(rng.integers(-4, 5, n) / 4.0) + 0.25 * (A + A.T)
+    linear = rng.integers(-2, 3, n) / 2.0 * (rng.random(n) < 0.5)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign=int(rng.choice([-1, 1])))
+    return system, 0.5 * rng.uniform(-1, 1, n), float(rng.choice([-0.2, 0.2]))
 
 
 def strang(count):
@@ -87,6 +128,16 @@ def check_step(system, choice, x, h):
     assert np.abs(end - wanted).max() <= tolerance
     assert np.abs(group - moved).max() <= tolerance * size
     assert np.abs(co.stepper(system, method, h)(x) - wanted).max() <= tolerance
+
+
+@pytest.mark.thinned(15)
+@pytest.mark.parametrize(
+    ("seed", "choice"), [(0, "coordinates"), (1, "coordinates"), (2, "coordinates"), (3, "auto"), (4, "auto")]
+)
+@pytest.mark.parametrize("name", BASES)
+def test_a_step_is_that_of_dense_matrices(name, seed, choice):
+    system, x, h = drawn_system(name, seed)
+    check_step(system, choice, x, h)
 
 
 @pytest.mark.parametrize("first", ["auto", "coordinates"])

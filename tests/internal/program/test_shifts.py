@@ -8,6 +8,7 @@ from itertools import permutations
 import mpmath
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
@@ -204,6 +205,20 @@ def test_known_factors(matrix, casimir, factors):
     assert found == pytest.approx(factors, rel=4 * U, abs=width * 2.0**-64)
 
 
+@pytest.mark.sensitive
+@pytest.mark.parametrize("size", [2, 3, 5, 8])
+@pytest.mark.parametrize("scale", [1.0, 2.0**40, 2.0**-40])
+def test_they_are_generalized_eigenvalues(size, scale):
+    """Found to the last bit; the eigenvalues of LAPACK are within n^2 u times the size of the pencil."""
+    rng = np.random.default_rng(size)
+    A, B = rng.standard_normal((2, size, size))
+    M, C = scale * (A + A.T), np.eye(size) + 0.1 * (B + B.T) / size
+    expected = eigh(M, C, eigvals_only=True)
+    found = singular_factors(M, C)
+    assert len(found) == size
+    assert np.abs(found - expected).max() <= 16 * size**2 * U * np.abs(expected).max() * np.linalg.cond(C)
+
+
 # Algebras with a nondegenerate quadratic Casimir x.A x/2, diagonal in the basis, up to a factor.
 FACTORS = {
     "so(3)": (co.algebras.so(3), [1.0, 1.0, 1.0]),
@@ -261,10 +276,50 @@ def test_a_sum_of_symmetric_bodies_is_one_exact_flow(names, seed):
     np.testing.assert_allclose(co.stepper(system, co.Splitting(order=2), 1.0)(x), exact, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("names", SUMS, ids=" + ".join)
+def test_shifts_take_a_coordinate_of_every_factor_off_each_part(names, seed):
+    """Up to four Casimirs are also tried one by one, for every coordinate."""
+    rng, algebra, casimirs, A, _ = drawn(names, seed)
+    M = rng.choice([-1.0, 1.0], algebra.dim) * rng.uniform(0.3, 3.0, algebra.dim)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M), casimirs=casimirs)
+    known, parts = quadratic_casimirs(system), split(system)
+    shifts = list(candidate_shifts(system, parts, known))
+    factors = np.array([[dict(shift).get(f"C{k}", 0.0) for k in range(len(names))] for shift in shifts])
+    left = M - factors @ A
+    gone = np.abs(left) <= 4 * 2.0**-53 * np.abs(M)
+    home = np.argmax(A != 0.0, axis=0)
+    for p in range(len(parts)):
+        rows = parts.forms
+        own = np.unique(rows.coordinate[slice(*rows.start[parts.angle[[p, p + 1]]])])
+        assert any({*home[own].tolist()} == {*home[own[row[own]]].tolist()} for row in gone)
+    if len(names) <= 4:
+        alone = np.count_nonzero(factors, axis=1) == 1
+        assert np.all(np.any(gone[alone], axis=0))
+    for shift, row, zero in zip(shifts, left, gone, strict=True):
+        (term,) = (one.form for one in shifted_terms(system.hamiltonian.terms(), known, shift))
+        assert term.rows.tolist() == term.indices.tolist() == np.flatnonzero(~zero).tolist()
+        np.testing.assert_allclose(term.values, row[~zero], rtol=0, atol=4 * 2.0**-53 * np.abs(M).max())
+
+
 def turned_about(axis, angle):
     with mpmath.workdps(60):
         reduced = float(mpmath.fmod(angle, 2 * mpmath.pi))
     return Rotation.from_rotvec(reduced * np.asarray(axis) / np.linalg.norm(axis)).as_matrix()
+
+
+@pytest.mark.sensitive
+def test_what_a_shift_leaves_by_rounding_is_no_part():
+    """Factors M/6 of su(3) are rounded; what is left of M would be a part of its own, and a flow in each step."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        system = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(rng.uniform(0.5, 2.0, 8)))
+        name, casimir = next(iter(quadratic_casimirs(system).items()))
+        factor = float(system.hamiltonian.terms()[0].values[0]) / 6.0
+        (term,) = shifted_terms(system.hamiltonian.terms(), {name: casimir}, ((name, factor),))
+        assert 0 not in term.rows
+        found = count_parts(system, {name: casimir}, [((name, factor),)])[0]
+        assert found in (0, len(split(system, "auto", (term,))))
 
 
 @pytest.mark.sensitive

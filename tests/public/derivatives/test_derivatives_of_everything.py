@@ -245,6 +245,52 @@ def test_observed_quantities_of_the_time_move_with_the_crossing_that_ends_a_run(
     assert abs(found @ direction - difference(total)) <= DIFFERENCE_ERROR * np.abs(found * direction).sum()
 
 
+def _functions(rng, count):
+    """A function that is not defined at zero, where lanes without a member might call it."""
+    pytest.importorskip("numba")
+
+    def slope(x):
+        if x <= 0.0:
+            raise ValueError("outside")
+        return -1.0 / x
+
+    def curvature(x):
+        if x <= 0.0:
+            raise ValueError("outside")
+        return 1.0 / x**2
+
+    piece = co.Separable({0: (lambda x: -np.log(x), slope, curvature)})
+    energies = [co.Quadratic(rng.uniform(0.5, 1.0, 3)) + piece for _ in range(count)]
+    return [co.LiePoissonSystem(co.algebras.so(3), energy) for energy in energies]
+
+
+@pytest.mark.parametrize(
+    ("count", "method"),
+    [(3, co.Splitting(compensated=True, parts="coordinates")), (9, co.Splitting(order=4, parts="coordinates"))],
+    ids=str,
+)
+def test_members_with_functions_that_are_differentiated_together_have_the_bits_of_single_runs(count, method, capfd):
+    """In both directions of time, between steps, and with members that share a system."""
+    rng = np.random.default_rng(count)
+    different = _functions(rng, count)
+    systems = [*different, different[1]]
+    x0, span = rng.uniform(0.2, 0.9, (count + 1, 3)), (1.0, 0.5) if count == 3 else (0.5, 1.0)
+    options = {"t_eval": (0.9, 0.66, 0.5)[:: 1 if count == 3 else -1]}
+    ready = co.prepare(co.batch(systems), method, H)
+    directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
+    sol, tangents = ready.jvp(x0, span, directions, **options)
+    weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
+    gradient = ready.vjp(x0, span, **options)[1](**weights)
+    assert "outside" not in capfd.readouterr().err
+    for m in range(0, count + 1, 1 + count // 8):
+        single = co.prepare(systems[m], method, H)
+        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, **options)
+        assert np.array_equal(sol.x[:, m], alone.x)
+        assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
+        found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
+        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
+
+
 def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_others():
     """One member grows without bound along its direction; the others are those of a batch without it."""
     plane = co.algebras.get("A2,1")

@@ -10,8 +10,9 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
-STEP, FORWARD = 0.0625, (0.0, 1.0)
+STEP, FORWARD, BACKWARD = 0.0625, (0.0, 1.0), (1.5, 0.5)
 RNG = np.random.default_rng(5)
+TENSOR = np.array([[1.0, 0.1, 0.2], [0.1, 1.8, 0.3], [0.2, 0.3, 2.4]])
 BODY = co.systems.rigid_body((1, 2, 3))
 
 
@@ -23,13 +24,29 @@ def pushed(third, torque=(0, 0, 0), rate=0.1):
 # Systems, and inputs with the shape of their values.
 BATCHES = {
     "coefficients": ([co.systems.rigid_body((2, 2.5, third)) for third in (2.5, 2.75, 3, 3.5)], True, {"linear": (3,)}),
+    # Of these the first and the last are one system, and no two have parts of the same form.
+    "other structures": (
+        [BODY, co.systems.rigid_body(TENSOR), co.systems.rigid_body((1, 1, 2)), BODY],
+        {"rotors": (0, 2)},
+        {"rotors": (2,)},
+    ),
+    "one of some": ([co.systems.heavy_top((2, 2.5, k), (0, 0.1, 1)) for k in (2, 3)], (4,), {"linear": (1,)}),
     "torques": (
         [pushed(2.5), pushed(3, (0.1, 0, 0)), pushed(3, rate=0.3)],
         {"thrust": "Torque", "rotors": (0, 1, 2)},
         {"thrust": (3,), "rotors": (3,)},
     ),
+    "more than lanes": ([co.systems.rigid_body((2, 2.5, 2.5 + k / 64)) for k in range(40)], True, {"linear": (3,)}),
 }
-SCHEMES = {"flows": co.Splitting(), "Runge-Kutta": co.GaussLegendre(2)}
+SCHEMES = {
+    "flows": co.Splitting(),
+    "composed": co.Splitting(order=4),
+    "coordinates": co.Splitting(order=2, parts="coordinates"),
+    "Runge-Kutta": co.GaussLegendre(2),
+    "explicit": co.ExplicitRungeKutta(),
+    "Taylor": co.Taylor(6),
+    "tables of each": co.ReversibleSteps(co.Splitting(order=2)),
+}
 
 
 def drawn(name):
@@ -40,6 +57,35 @@ def drawn(name):
     each = {key: RNG.uniform(-0.3, 0.3, (len(systems), *shape)) for key, shape in shapes.items()}
     first = next(iter(shapes))
     return co.batch(systems), x, inputs, [common, each, {first: each[first]}, {**common, first: each[first]}]
+
+
+def of_member(values, shapes, m):
+    """Return the values of one member."""
+    return {key: value[m] if value.ndim > len(shapes[key]) else value for key, value in values.items()}
+
+
+@pytest.mark.parametrize("span", [FORWARD, BACKWARD], ids=["forward", "backward"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.thinned(6)
+def test_members_have_the_bits_of_systems_with_their_values(name, scheme, span):
+    """Those of the batch with the values written in, of each member prepared alone, and of any threads."""
+    batch, x, inputs, calls = drawn(name)
+    ready = co.prepare(batch, SCHEMES[scheme], STEP, inputs=inputs, threads=1)
+    several = co.prepare(batch, SCHEMES[scheme], STEP, inputs=inputs, threads=2)
+    alone = {m: co.prepare(batch[m], SCHEMES[scheme], STEP, inputs=inputs) for m in (0, 1, len(batch) - 1)}
+    for start in (x, x[0]):
+        for values in (*calls, {}):
+            sol = ready.run(start, span, **values)
+            if values or scheme != "coordinates":  # there, a part is left out where a coefficient is zero
+                again = co.integrate(sol.system, start, span, STEP, sol.method)
+                assert np.array_equal(sol.x, again.x) and np.array_equal(sol.energy, again.energy)
+            assert np.array_equal(several.run(start, span, **values).x, sol.x)
+            assert np.array_equal(ready.end(start, span, **values), sol.x[-1])
+            for m, one in alone.items():
+                own = np.broadcast_to(start, x.shape)[m], span
+                assert np.array_equal(one.run(*own, **of_member(values, BATCHES[name][2], m)).x, sol.x[:, m])
+                assert np.array_equal(one.end(*own, **of_member(values, BATCHES[name][2], m)), sol.x[-1, m])
 
 
 def test_parts_are_those_for_the_inputs_of_the_first_member():
@@ -137,3 +183,51 @@ def test_a_failing_member_leaves_the_others():
     assert np.array_equal(caught.value.partial.x[:, rest], kept.run(x[rest], FORWARD, linear=values[rest]).x)
     with pytest.raises(co.IntegrationError):
         ready.end(x, FORWARD, linear=values)
+
+
+@pytest.mark.parametrize("scheme", ["flows", "Runge-Kutta"])
+@pytest.mark.parametrize("name", ["coefficients", "other structures", "torques"])
+def test_derivatives_by_inputs_of_members(name, scheme):
+    """By central differences, by the other mode, and bit for bit those of each member alone."""
+    batch, x, inputs, (*_, values) = drawn(name)
+    count, shapes, short = len(batch), BATCHES[name][2], (0.0, 0.25)
+    ready = co.prepare(batch, SCHEMES[scheme], STEP, inputs=inputs)
+    along = {key: RNG.normal(size=value.shape) for key, value in values.items()}
+    move = RNG.normal(size=x.shape)
+    sol, tangents = ready.jvp(x, short, {"x0": move, "inputs": along}, **values)
+    h = 2.0**-17
+    near = [
+        ready.run(x + by * move, short, **{key: value + by * along[key] for key, value in values.items()})
+        for by in (-h, h)
+    ]
+    for part in ("x", "energy"):
+        before, after = (getattr(one, part) for one in near)
+        found = getattr(tangents, part)
+        # The error of the difference: h^2 / 6 times a third derivative, and the round-off of the states over h.
+        np.testing.assert_allclose(found, (after - before) / (2 * h), rtol=0, atol=1e3 * (h**2 + 2.0**-53 / h))
+    pulled, pullback = ready.vjp(x, short, **values)
+    weights = RNG.normal(size=sol.x.shape)
+    gradient = pullback(x=weights)
+    pairs = [(gradient["x0"], move), *((gradient["inputs"][key], along[key]) for key in along)]
+    expected = sum(np.vdot(one, other) for one, other in pairs)
+    # Derivatives of steps in Python are central differences of order 8, of about twelve digits.
+    assert np.vdot(weights, tangents.x) == pytest.approx(expected, abs=1e-10 * np.abs(weights * tangents.x).sum())
+    assert np.array_equal(sol.x, pulled.x) and np.array_equal(sol.x, ready.run(x, short, **values).x)
+    totals = {key: np.zeros(shape) for key, shape in shapes.items()}
+    for m in range(count):
+        one = co.prepare(batch[m], SCHEMES[scheme], STEP, inputs=inputs)
+        alone, pull = one.vjp(x[m], short, **of_member(values, shapes, m))
+        by = pull(x=weights[:, m])
+        assert np.array_equal(alone.x, sol.x[:, m]) and np.array_equal(by["x0"], gradient["x0"][m])
+        for parameter in ready.parameters:
+            assert np.array_equal(by[parameter], gradient[parameter][m])
+        for key, value in values.items():
+            totals[key] += by["inputs"][key]
+            if value.ndim > len(shapes[key]):
+                assert np.array_equal(by["inputs"][key], gradient["inputs"][key][m])
+    for key, value in values.items():
+        if value.ndim == len(shapes[key]):
+            np.testing.assert_allclose(gradient["inputs"][key], totals[key], rtol=1e-13)
+    for wrong in ({"inputs": {"other": 1.0}}, {"inputs": {key: np.ones((7, 7)) for key in values}}):
+        with refused(ValueError, next(iter(wrong["inputs"]))):
+            ready.jvp(x, short, wrong, **values)
