@@ -33,6 +33,7 @@ def contents(folder):
 
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(7)])
 X = np.random.default_rng(3).standard_normal((7, 3))
 
 
@@ -89,6 +90,18 @@ def immediate_tasks(monkeypatch):
 def ensemble(client, path, system=BODY, span=(0.0, 2.0), threads=None):
     ready = PreparedRun(system, co.Splitting(), 0.125)
     return run_in_blocks(ready, X, span, 1, path, WorkerPool(client, None, threads), size=3)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("system", [BODY, BATCH], ids=["one system", "batch"])
+@pytest.mark.parametrize("span", [(0.0, 2.0), (7.5, 5.5)])
+def test_blocks_have_their_own_members(tmp_path, system, span):
+    client = Inline()
+    found = ensemble(client, tmp_path / "many.zarr", system, span, threads=2)
+    assert client.tries == [0, 1, 2] and len(set(client.keys)) == 3 and client.threads == [2, 2, 2]
+    expected = co.integrate(system, X, span, 0.125, co.Splitting())
+    np.testing.assert_array_equal(found.x, expected.x)
+    np.testing.assert_array_equal(found.energy, expected.energy)
 
 
 def test_busy_block_is_submitted_again(tmp_path):
