@@ -1,6 +1,7 @@
 """Files of an archive: commits, concurrent readers, refusals, and the order of writes."""
 
 import errno
+import io
 import json
 import os
 import stat
@@ -14,7 +15,7 @@ import xarray
 from coadjoint.files.archives.archive import Archive, read_root
 from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder
 from coadjoint.files.archives.store import ArchiveStore
-from coadjoint.files.archives.stored_arrays import METADATA_FILE, StoredArray
+from coadjoint.files.archives.stored_arrays import METADATA_FILE, StoredArray, deserialize_numbers
 from guards import open_descriptors
 from refusals import refused
 
@@ -113,6 +114,17 @@ def test_only_committed_states_remain(store):
     for one in (stored[0], stored[2]):
         with refused(ArchiveError, one.file, "missing"):
             store.read_state(one)
+
+
+def test_length_of_chunks_is_limited(store):
+    store.commit({}, {"time": 20}, [written(store, 0, 20)])
+    most = store.arrays["x"].max_encoded_bytes
+    (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
+    with refused(ArchiveError, most + 1, most):
+        store.read("x")
+    (store.path / "x" / "c.0.0").write_bytes(bytes(most))
+    with refused(ArchiveError, "x/c.0.0 is damaged", "checksum"):
+        store.read("x")
 
 
 def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
@@ -360,3 +372,14 @@ def test_locks_that_cannot_be_opened_are_not_those_of_another_process(tmp_path, 
     assert open_descriptors() == before and (tmp_path / "kept").read_text() == "precious"
     assert sorted(os.listdir(tmp_path)) == ["kept", "run.zarr"]
     ArchiveStore.open_existing(store.path).close()
+
+
+@pytest.mark.parametrize(("axes", "accepted"), [(8, True), (9, False)])
+def test_stored_numbers_have_not_too_many_axes(axes, accepted):
+    content = io.BytesIO()
+    np.savez(content, x=np.zeros((1,) * axes))
+    if accepted:
+        assert deserialize_numbers(content.getvalue())["x"].ndim == axes
+    else:
+        with pytest.raises(ValueError, match="numbers"):
+            deserialize_numbers(content.getvalue())

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from coadjoint.files.archives.stored_arrays import deserialize_numbers, serialize_numbers
+from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers, serialize_numbers
 from refusals import refused
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
@@ -109,6 +109,32 @@ FLIPPED[FLIPPED.index(GRID[1, 1].tobytes()) + 3] ^= 1
 def test_other_bytes_are_refused(content):
     with pytest.raises(ValueError, match="BadZipFile"):
         deserialize_numbers(content)
+
+
+def stored(axes, length=1):
+    return StoredArray(tuple("abcdefghijk"[:axes]), "float64", (length,) * axes, (1,) * axes, {})
+
+
+@pytest.mark.parametrize(
+    ("within", "beyond"),
+    [
+        (stored(8), stored(9)),
+        (stored(1, 2**62), stored(1, 2**62 + 1)),
+        (
+            StoredArray(("time",), "float64", (1,), (2**16,), {}),
+            StoredArray(("time",), "float64", (1,), (2**16 + 1,), {}),
+        ),
+        (
+            StoredArray(("time", "x"), "float64", (1, 2**10), (512, 2**10), {}),
+            StoredArray(("time", "x"), "float64", (1, 2**10), (513, 2**10), {}),
+        ),
+    ],
+    ids=["axes", "length", "rows", "bytes"],
+)
+def test_sizes_of_arrays_are_limited(within, beyond):
+    within.check()
+    with pytest.raises(ValueError):
+        beyond.check()
 
 
 def test_stored_numbers_have_eight_axes_at_most():

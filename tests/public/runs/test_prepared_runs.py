@@ -15,6 +15,27 @@ X = np.array([0.1, 1.0, 0.2])
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
+@pytest.mark.parametrize(
+    ("system", "method"),
+    [
+        (BODY, co.Splitting(order=4, compensated=True)),
+        (BODY, co.Splitting(order=2, rotation="rational")),
+        (BODY, co.Splitting(order=2, parts="free_body")),
+        (co.systems.spin_lattice("chain", 4, field=lambda t: [0.0, t, 0.1]), co.Splitting(order=2)),
+        (co.systems.spin_lattice("chain", 4), co.Splitting(order=2, parts="bonds")),
+    ],
+    ids=str,
+)
+def test_runs_in_the_other_direction_are_those_prepared_for_it(system, method):
+    x0 = np.linspace(0.2, 1.1, system.dim)
+    first, fresh = (co.prepare(system, method, 0.1, attitude="coadjoint") for _ in range(2))
+    first.run(x0, (1.0, 1.7))
+    sols = [ready.run(x0, (1.0, 0.3)) for ready in (first, fresh)]
+    for name in ("x", "attitude", "energy"):
+        np.testing.assert_array_equal(getattr(sols[0], name), getattr(sols[1], name))
+    np.testing.assert_allclose(first.run(sols[0].x[-1], (0.3, 1.0)).x[-1], x0, rtol=0, atol=1e-13)
+
+
 def test_attributes_of_solutions_are_lazy_and_cached():
     """In any order, after other runs, and after the states are overwritten."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from own_schemes import Classical, Interpreted
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
@@ -18,6 +19,22 @@ def spins(count):
         for k in range(3):
             M[3 * s + k, 3 * s + 3 + k] = M[3 * s + 3 + k, 3 * s + k] = -0.5
     return co.algebras.copies(co.algebras.so(3), count), M
+
+
+def test_inputs_of_steps_in_python():
+    """What the loops read from tables may be given; a step that is called in Python has the system in it."""
+    x, linear = np.array([0.4, -0.3, 0.5]), np.array([0.1, 0.0, -0.4])
+    body, N = co.systems.rigid_body((1, 2, 3)), np.array([0.2, 0.7, -0.1])
+    with refused(ValueError, "Interpreted", "tables.whole"), pytest.warns(RuntimeWarning, match="Python calls"):
+        co.prepare(body, Interpreted(), STEP, inputs=True)
+    pushed = body.with_forces(co.forces.Torque((0, 0, 0)))
+    ready = co.prepare(pushed, Interpreted(), STEP, inputs={"N": "Torque"})
+    alone = co.integrate(body.with_forces(co.forces.Torque(N)), x, SPANS[0], STEP, Interpreted())
+    assert np.array_equal(ready.run(x, SPANS[0], N=N).x, alone.x)
+    pytest.importorskip("numba")
+    changed = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 1 / 3], linear=linear), -1)
+    run = co.prepare(body, Classical(), STEP, inputs=True).run(x, SPANS[0], linear=linear)
+    assert np.array_equal(run.x, co.integrate(changed, x, SPANS[0], STEP, Classical()).x)
 
 
 @pytest.mark.thinned(1)
