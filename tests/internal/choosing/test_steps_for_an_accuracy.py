@@ -1,6 +1,7 @@
 """Numbers of steps that schemes need, fitted to errors of trials and predicted from others of their family."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,6 +54,59 @@ def fitted(error, order, goal, limit=math.inf, windows=1.0, share=1.0):
     """Fit from 40 steps in each window; errors at the end are those of a window times the number of windows."""
     found = found_of(error, 1, windows, method=co.Taylor(order), share=share)
     return fit_steps(found.pilot, found.candidate, goal, limit, 40.0 * windows)
+
+
+@pytest.mark.parametrize("windows", [1.0, 3.0])
+@pytest.mark.parametrize("ratio", [0.5, 0.99, 1.01, 2.0])
+def test_measured_rounding_stays_below_the_accuracy(ratio, windows):
+    """Large steps may amplify rounding: 7/8 of the accuracy, the reference may have the rest, or more steps."""
+    required = 4.0 * NOISE
+    seen = 7 / 8 * required * ratio / windows
+    found = confirmed_fit(found_of(lambda steps: seen * (100 / steps) ** 16, int(100 * windows), windows), required)
+    if ratio < 1.0:
+        assert found.steps == 100 * windows and found.pilot.tried == [100]
+    else:
+        assert found.steps > 100 * windows and found.error <= required
+        assert seen * (100 * windows / found.steps) ** 16 * windows <= 7 / 8 * required
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("steps", [9, 10, 11])
+def test_a_confirmed_error_is_that_of_the_steps_of_the_run(steps):
+    """Over three windows, each tried with the whole number of steps below a third of them."""
+    wanted = 3e-3 * (9.0 / steps) ** 16
+    found = confirmed_fit(found_of(lambda tried: 1e-3 * (3.0 / tried) ** 16, steps, 3.0), wanted / 0.3)
+    assert found.steps == steps and found.error == pytest.approx(wanted, rel=1e-12) and found.pilot.tried == [3]
+
+
+@pytest.mark.parametrize("windows", [1.0, 3.0])
+def test_rounding_that_remains_too_large_is_reported(windows):
+    """More steps do not help; the error is the accuracy at which the fit is accepted."""
+
+    def confirmed(required):
+        return confirmed_fit(found_of(lambda steps: 3.0 * NOISE, int(100 * windows), windows), required)
+
+    found = confirmed(3.0 * NOISE)
+    assert found.error > 3.0 * NOISE and len(found.pilot.tried) == 6
+    assert confirmed(1.001 * found.error).pilot.tried == [100]
+
+
+@pytest.mark.parametrize("windows", [1.0, 4.0])
+def test_failed_or_inaccurate_run_gets_more_steps(windows):
+    """It ends below the accuracy, with the error of a trial with as many steps, and not with far too many."""
+    for error, most in (
+        (lambda steps: None if steps < 130 else 1e-12, 1.25 * 130),
+        (lambda steps: 1e-4 * (100 / steps) ** 16, 1.1 * 100 * 1e2 ** (1 / 16) * windows),
+    ):
+        found = confirmed_fit(found_of(error, int(100 * windows), windows), 4e-6)
+        per_window = found.steps / windows
+        assert found.pilot.tried[0] == 100 and per_window <= most
+        assert error(per_window) * windows <= 4e-6
+        assert found.error == pytest.approx(error(per_window) * windows, rel=0.25)
+    # Ten windows with 85.7 steps in each: the trial fails with 85, and 86 would not show it.
+    found = confirmed_fit(found_of(lambda steps: None if steps <= 85 else 1e-9, 857, windows=10.0), 4e-6)
+    assert found.pilot.tried[0] == 85 and found.steps > 1000
+    assert found.steps / 10.0 >= max(found.pilot.tried)
 
 
 @pytest.mark.parametrize("order", [4, 16])
@@ -119,6 +173,18 @@ def test_expensive_scheme_is_abandoned(windows, share):
         assert found.cost == found.steps * share and (len(found.pilot.tried) < 3) == abandoned, found.pilot.tried
 
 
+def test_slowly_converging_stages_get_more_steps():
+    """With 80 steps the stages iterate too long to be affordable, with 160 they do not."""
+    found = found_of(
+        lambda steps: 0.9 if steps < 100 else (60 / steps) ** 12, 1,
+        method=co.GaussLegendre(6), cost=lambda trial: trial.iterations,
+    )  # fmt: skip
+    seen = found.pilot.trial
+    found.pilot.trial = lambda method, steps: seen(method, steps)._replace(iterations=20.0 if steps < 100 else 1.0)
+    fit = fit_steps(found.pilot, found.candidate, 1e-6, 300.0, 40.0)
+    assert fit is not None and fit.cost <= 300.0
+
+
 @pytest.mark.parametrize("windows", [1.0, 1000.0])
 @pytest.mark.parametrize("seen", [1e-9, 1e-16])
 @pytest.mark.parametrize("method", [co.Taylor(tolerance=1e-12), co.Taylor(16)], ids=str)
@@ -140,6 +206,28 @@ def test_families_differ_in_order_only():
     groups = families.families([SimpleNamespace(method=method) for method in methods])
     numbers = [[methods.index(each.method) for each in group] for group in groups]
     assert numbers == [[0, 6], [1, 4], [2, 10], [3], [5], [7], [8], [9]]
+
+
+@pytest.mark.parametrize("goal", [1e-2, 1e-8])
+@pytest.mark.parametrize(("c", "r"), [(1.0, 1.0), (0.1, 0.25), (50.0, 3.0)])
+def test_steps_of_a_family_follow_from_two_orders(c, r, goal):
+    """Errors of order p are c (h / r)^p: two fits give both constants."""
+
+    def needed(order):
+        return (c / goal) ** (1.0 / order) / r * 1e6
+
+    # One step more or less than needed has another error.
+    fits = [found_of(None, round(1.1 * needed(p)), method=co.Taylor(p)) for p in (8, 16)]
+    fits = [replace(each, error=goal * 1.1**-each.candidate.method.order) for each in fits]
+    for order in (4, 12, 24):
+        candidate = SimpleNamespace(method=co.Taylor(order), cost=lambda trial: trial.evaluations, share=0.5)
+        assert families.predicted_steps(candidate, fits, goal) == pytest.approx(needed(order), rel=1e-3)
+        # The evaluations of a step are in proportion to the order.
+        nearest = 8 if order < 12 else 16
+        cost = 0.5 * 8.0 * order / nearest * needed(order)
+        assert order == 12 or families.predicted_cost(candidate, fits, goal) == pytest.approx(cost, rel=1e-3)
+        if c == 1.0:  # which is assumed of a single one
+            assert families.predicted_steps(candidate, fits[:1], goal) == pytest.approx(needed(order), rel=1e-3)
 
 
 @pytest.mark.long
