@@ -32,13 +32,14 @@ demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
 
 # Hypothesis draws the same cases on every machine; in `make long` others each time. Numba optimizes functions less, which
-# takes half the time to compile and does not change their bits; in `make long` as for users. The tests of a file run in
-# one process, which compiles their functions once: half the processor time.
+# takes half the time to compile and does not change their bits, and XLA not at all; in `make long` as for users. The tests
+# of a file run in one process, which compiles their functions once: half the processor time.
 test: kernels
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	{ $(BIN)/mypy && $(MAKE) --no-print-directory pages; } > $(VENV)/checks.txt 2>&1 & checks=$$!; \
-	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m "not long" --hypothesis-profile=ci; tests=$$?; \
+	NUMBA_OPT=1 XLA_FLAGS=--xla_backend_optimization_level=0 $(ONE_THREAD) \
+		$(BIN)/pytest -n 2 --dist loadfile -m "not long" --hypothesis-profile=ci; tests=$$?; \
 	wait $$checks || tests=1; cat $(VENV)/checks.txt; exit $$tests
 
 # Every page of the site is read, with warnings such as links that lead nowhere as errors, and none is written; pictures

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-MOST_CASES = 4
+MOST_CASES = 3
 
 
 def long_beyond(count: int, cases: Iterable[Any]) -> list[Any]:

@@ -109,7 +109,10 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     )
     if chosen["inputs"] == "none":
         yield same(f"numbers(ready.run(x0, span{passed}))")
-        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.95 * x0, 1.0), span)\n")
+        back = "" if chosen["forces"] == "noise" else "[::-1]"
+        lines = f"try:\n    ready.run(fixed(system, 0.95 * x0, 1.0), span{back})\n"
+        lines += "except (co.IntegrationError, ValueError):\n    pass  # the motion, or a force, has no past\n"
+        yield same(f"numbers(ready.run(x0, span{passed}))", lines=lines)
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
@@ -126,6 +129,12 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     for each in every:
         yield same("numbers(own)", "numbers(co.integrate(own.system, x0, span, h, own.method, **options))", each)
     yield same(f"ready.end(x0, span, {name}={given})", f"ready.run(x0, span, {name}={given}).x[-1]")
+    if chosen["members"] == "batch" and chosen["forces"] != "noise" and "'coordinates'" not in case.method:
+        passing = case.lines.partition("ready = co.prepare(system, ")[2].partition("\n")[0]
+        each = f"co.prepare(systems[m], own.{passing}.run(x0[m], span{passed}, {name}=given[m])"
+        yield same(
+            "[numbers(own, m) for m in (0, 2)]", f"[numbers({each}) for m in (0, 2)]", f"given = {given}\n{lines}"
+        )
 
 
 def bits_of_archives(case: Case, space: dict[str, Any]) -> Iterator[str]:
@@ -422,6 +431,19 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
     entries = sum(np.size(value) for value in space["ready"].parameters.values())
     if compiled_derivatives(case) or entries < 8 or len(case.lines) % DRAWN == 1:
         yield lines + duality
+    if compiled_derivatives(case) and chosen["members"] != "one" and not key:
+        passing = case.lines.partition("ready = co.prepare(system, ")[2].partition("\n")[0]
+        one = f"co.prepare({'systems[m]' if chosen['members'] == 'batch' else 'system'}, {passing}"
+        yield same(
+            "[[tangents.x[:, m], gradient['x0'][m]] for m in (0, 2)]",
+            "[[alone.jvp(x[m], few, {'x0': move[m]}" + times + ")[1].x,"
+            " alone.vjp(x[m], few" + times + ")[1](weights['x'][:, m])['x0']] for m, alone in ones]",
+            f"{lines}ones = [(m, {one}) for m in (0, 2)]\n"
+            f"_, tangents = ready.jvp(x, few, {{'x0': move}}{times})\n"
+            f"sol, pullback = ready.vjp(x, few{times})\n"
+            "weights = {'x': np.cos(1.0 + np.arange(sol.x.size)).reshape(sol.x.shape)}\n"
+            "gradient = pullback(**weights)\n",
+        )
     if space["method"].own_steps:
         return  # the derivatives are those of steps of fixed lengths
     plain = f"ready.run(x + k * e * move, few{times}{f', {key}=value + k * e * push' if key else ''})"

@@ -41,19 +41,6 @@ def force_on(name: str, system: Any) -> co.forces.Force:
     return kind(**kind.example)
 
 
-def forces_on(system: Any) -> list[co.forces.Force]:
-    """Return the registered forces that act on a system of vectors, dampers in place of springs without an attitude."""
-    names = [name for name in co.forces.names() if not issubclass(getattr(co.forces, name), co.forces.Sampled)]
-    plain = [force_on(name, system) for name in names]
-    laws = [co.forces.Pointing(stiffness=0.0, damping=0.2)]
-    found = []
-    for force in (*plain, *laws, *(co.forces.Sampled(law, 0.25) for law in laws)):
-        with suppress(TypeError, ValueError, AttributeError):
-            system.with_forces(force)
-            found.append(force)
-    return found
-
-
 FIRST_FITTING = (
     lambda: co.systems.rigid_body((1.0, 2.0, 2.5)),
     lambda: co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3), gyros=np.eye(3)[[(0, 1), (1, 2), (2, 0)]]),

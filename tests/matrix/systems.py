@@ -60,6 +60,7 @@ def drawn_system(rng: np.random.Generator, timed: bool = False) -> str:
     elif kind == 3:
         terms = {tuple((2 * np.eye(n, dtype=int)[i]).tolist()): float(np.round(full[i, i], 2)) for i in range(n)}
         terms[tuple((3 * np.eye(n, dtype=int)[0]).tolist())] = 0.3
+        terms[tuple((4 * np.eye(n, dtype=int)[n - 1]).tolist())] = 0.1
         terms[tuple((np.eye(n, dtype=int)[0] + np.eye(n, dtype=int)[n - 1]).tolist())] = -0.4
         H = f"co.Polynomial({terms})"
     else:
@@ -88,7 +89,8 @@ def varied(text: str, m: int) -> str:
     if m == 0:
         return text
     if not text.startswith("co.systems."):
-        return re.sub(r"co\.Quadratic\(", f"co.Quadratic({1 + m / 8} * ", text)
+        text = re.sub(r"co\.Quadratic\(", f"co.Quadratic({1 + m / 8} * ", text)
+        return text.replace("co.Polynomial(", f"{1 + m / 8} * co.Polynomial(")
     name = text.removeprefix("co.systems.").partition("(")[0]
     for key, parameter in inspect.signature(getattr(co.systems, name)).parameters.items():
         default = parameter.default

@@ -1,1 +1,1 @@
-"""Random runs from seeds, and comparisons that must preserve their bits."""
+"""Random runs from seeds."""

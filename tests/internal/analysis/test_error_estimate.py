@@ -142,7 +142,7 @@ def check_estimates(method: co.methods.Method) -> None:
     assert 1.0 / FACTOR < ratios.min() and ratios.max() < FACTOR, ratios  # a single error may be small by chance
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("name", schemes())
 def test_estimate_follows_the_order_of_every_scheme(name):

@@ -185,20 +185,6 @@ def test_blocks_that_differ_in_one_constant_have_their_own(kind):
         assert np.abs(found - expected).max() <= 64 * U * np.exp(0.7 * 4.0) * 2  # no block has a norm above 4
 
 
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("name", ALGEBRAS)
-def test_exponential_of_basis_elements(name):
-    algebra, _ = ALGEBRAS[name]
-    x = np.random.default_rng(2).uniform(-1, 1, algebra.dim)
-    for i in range(0, algebra.dim, 1 + algebra.dim // 4):
-        D = algebra.coadjoint(np.eye(algebra.dim)[i])
-        read = reading_of(algebra, i)
-        for theta in (0.0, 1e-12, 0.9, -20.0):
-            assert error_of(read, D, x, theta) <= 4 * (algebra.dim + 2) * exponential_bound(D, theta) * np.linalg.norm(
-                x
-            )
-
-
 @pytest.mark.thinned(9)
 @pytest.mark.parametrize("theta", ANGLES)
 @pytest.mark.parametrize("base", ["so(3)", "sl(2)"])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from digests.measures import drift_bounds
 from digests.systems_under_test import cases, full_matrix
 from long import long_where
+from matrix.references import rounding_of
 from rounding import UNIT_ROUNDOFF as U
 
 STEPS = 1_000_000
@@ -40,7 +40,7 @@ def long_run(case, method, steps=STEPS):
 def test_casimirs_of_splitting_follow_brouwer_where_sums_are_compensated(case, compensated):
     """Else they stay within the linear bound, and the energy error does not grow in time, up to a factor of two."""
     run = long_run(case, co.Splitting(order=2, compensated=compensated))
-    bounds = drift_bounds(run)
+    bounds = rounding_of(run)
     if compensated:
         # In each flow the sine and the cosine are rounded, and their products with the components; a compensated
         # update rounds only increments, smaller than x by |h D_u|, u = grad H.

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -113,7 +114,7 @@ def test_errors_at_the_end_are_those_of_the_groups(ratio):
     assert sol.error_estimate() == max(estimate.values())
 
 
-@pytest.mark.parametrize(("ratio", "warned"), [(1e8, False), (1e14, False), (2e15, True)])
+@pytest.mark.parametrize(("ratio", "warned"), long_beyond(2, [(1e14, False), (2e15, True), (1e8, False)]))
 def test_the_warning_of_rounding_states_its_size(ratio, warned):
     """Above 2 per cent of a group there is one, and below half a per cent none; the error is that of 50 digits."""
     sol, found = run(ratio)

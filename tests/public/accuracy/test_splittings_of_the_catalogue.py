@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from catalogue_cases import EXAMPLES, NAMES
-from digests.measures import drift_bounds
 from digests.systems_under_test import Case, full_matrix
+from matrix.references import rounding_of
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -47,7 +47,7 @@ def test_invariants_of_two_thousand_steps(name):
         for method in (co.Splitting(order=2), co.ExplicitRungeKutta("runge2"))
     )
     assert all(np.all(np.isfinite(values)) for values in run.casimirs.values())
-    bounds = drift_bounds(run)
+    bounds = rounding_of(run)
     for key, casimir in system.casimirs.items():
         assert run.drift()[key] <= bounds[key], key
         kept = (isinstance(casimir, co.Polynomial) and casimir.degree == 1) or (name, key) in PRESERVED_BY_ALL

@@ -41,7 +41,7 @@ def test_tuned_is_seldom_worse_than_automatic(order, step):
     assert np.mean(np.array(ratios) > 1.1) < 0.2
 
 
-@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("order", long_beyond(1, [2, 4]))
 def test_several_states_have_the_parts_with_the_least_error(order):
     """Of all orders of the coordinates; for one of the states alone another one is better."""
     body, starts = systems()["body"], np.random.default_rng(100).standard_normal((2, 3))

@@ -180,30 +180,6 @@ def test_intensities_of_few_members():
         check_coverage(intensities - intensities.mean(axis=0), errors, two=0.90)
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(SEEDS, marks=pytest.mark.long)])
-@pytest.mark.parametrize(
-    ("members", "samples", "sigma", "hidden"),
-    [(3, 201, 0.003, 0), (3, 101, 0.02, 1), (1, 81, 0.003, 2), (1, 81, 0.03, 5), (1, 41, 0.003, 5)],
-)
-def test_identified_coefficients(count, members, samples, sigma, hidden):
-    """Of a body; noise hides directions of a part of an orbit, and some radii leave one degree of freedom."""
-    z, undetermined, H = [], [], BODY.hamiltonian.to_polynomial()
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        x0 = rng.normal(size=(members, 3))
-        x0 /= np.linalg.norm(x0, axis=1)[:, None]
-        sol = co.integrate(BODY, x0, (0, 0.1 * (samples - 1)), 0.1, co.GaussLegendre(3))
-        found = co.identify(SO3, sol.t, sol.x + sigma * rng.normal(size=sol.x.shape), 2, sign=-1)
-        wanted = found.coefficients_of(H)
-        error = [found.hamiltonian.monomials.get(e, 0.0) - w for e, w in zip(found.exponents, wanted, strict=True)]
-        z.append(np.array(error) / found.standard_deviation)
-        undetermined.append(len(found.undetermined))
-    z = np.abs(z)
-    few = 0.3 / np.sqrt(count)
-    assert np.max(z) < 5 and np.mean(z < 2) > 0.9 - few and 0.57 - few < np.mean(z < 1) < 0.8 + few
-    assert np.mean(undetermined) <= hidden, "no more than noise hides"
-
-
 def test_few_equations_have_students_factor():
     """With one degree of freedom two standard deviations are seven of those of the residuals."""
     rng = np.random.default_rng(1)
@@ -366,42 +342,6 @@ def test_errors_of_steps_at_and_near_an_equilibrium():
         assert 1e-4 < sol.error_estimate() < 1e-3
         found.append(sol.step_error())
     assert np.isnan(found[:2]).all() and 1e-3 < found[2] < 2e-3
-
-
-def relative_error(end, path, groups):
-    """As of `error_estimate`: of the worst group, relative to its largest size."""
-    sizes = [np.linalg.norm(path[:, group], axis=1).max() for group in groups]
-    errors = [np.linalg.norm(end[group] - path[-1, group]) for group in groups]
-    return max(np.array(errors) / sizes)
-
-
-SCHEMES = (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"))
-
-
-@pytest.mark.parametrize("count", [12, pytest.param(120, marks=pytest.mark.long)])
-def test_errors_of_runs_against_fine_runs(count):
-    """The truth is by `GaussLegendre(6)`: estimates of runs, and errors of runs with a given accuracy."""
-    ratios, used = [], []
-    for seed in range(count):
-        rng = np.random.default_rng(seed)
-        inertia, x0, groups = rng.uniform(1, 2, 3), rng.normal(size=6), [slice(0, 3), slice(3, 6)]
-        if seed % 3 == 0:
-            system, x0, groups = co.systems.rigid_body(inertia=inertia), x0[:3], groups[:1]
-        elif seed % 3 == 1:
-            system = co.systems.heavy_top(inertia=inertia, lever=rng.uniform(-1, 1, 3))
-        else:
-            system, groups = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))), [slice(6)]
-        span = float(rng.integers(5, 16))
-        fine = co.integrate(system, x0, (0, span), 0.015625, co.GaussLegendre(6), save_every=8)
-        sol = co.integrate(system, x0, (0, span), 0.5 ** rng.integers(3, 6), SCHEMES[seed % len(SCHEMES)])
-        error = relative_error(sol.x[-1], fine.x, groups)
-        if 1e-11 < error < 0.1:
-            ratios.append(sol.error_estimate() / error)
-        accuracy = 10.0 ** -rng.uniform(3, 9)
-        sol = co.integrate(system, x0, (0, span), accuracy=accuracy)
-        used.append(relative_error(sol.x[-1], fine.x, groups) / accuracy)
-    assert len(ratios) > 0.5 * count and np.all(np.abs(np.log2(ratios)) < 0.6)
-    assert max(used) < 1 and np.median(used) > 0.01
 
 
 @pytest.mark.parametrize("method", ["heat bath", "Metropolis"])

@@ -256,6 +256,7 @@ def bodies_with_rates():
     }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", bodies_with_rates())
 def test_gyroscopes_determine_what_they_measure(name):
     """The fit of exact rates is exact, and its covariance is that of differences of runs."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from storing import BODY, RUNS, STEP, T0
+from storing import BODY, STEP
 
 import coadjoint as co
 from refusals import refused
@@ -77,23 +77,6 @@ def test_ends_that_are_sums_of_steps(span, tmp_path):
         co.resume(path, t_end=beyond)
     with refused(ValueError, f"{span[1]:g}."):
         resumed.at(beyond)
-
-
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("name", [name for name in RUNS if name not in ("members", "start left out")])
-def test_drifts_of_a_longer_run_are_those_of_each_member(tmp_path, name):
-    """Steps 1 to 4 lie in one tenth of 31, those of the other pieces in several; then pieces of one step and more."""
-    given, path = dict(RUNS[name]), tmp_path / "run.zarr"
-    sense = np.sign(given["t_span"][1] - T0)
-    first = {**given, "t_span": (T0, T0 + 16 * sense * STEP)}
-    co.integrate(**{**given, "t_span": (T0, T0 + 2 * sense * STEP)}, archive=path)
-    co.resume(path, first["t_span"][1], until=4)
-    for until in (11, None):
-        co.resume(path, until=until)
-    check_same(co.open_archive(path), co.integrate(**first), work=False)
-    for until in (17, 20, 21, 24, 30, None):
-        found = co.resume(path, given["t_span"][1], until=until)
-    check_same(found, co.integrate(**given), work=False)
 
 
 @pytest.mark.parametrize("cuts", [(176, 208, None), (159, 176, 177)])

@@ -91,6 +91,7 @@ def changes_of(found):
         yield name, found.assign_attrs({name: f"{found.attrs[name]} "})
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("suffix", ["nc", "zarr"])
 @pytest.mark.parametrize("text", [RUN, SWEEP], ids=["members", "sweep"])
 def test_changed_files_of_the_command_are_refused(tmp_path, monkeypatch, capsys, text, suffix):

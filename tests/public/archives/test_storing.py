@@ -44,7 +44,7 @@ def fields_of(sol, x0):
     return [systems[m % len(systems)].vector_field(state, T0 + m) for m, state in enumerate(states)]
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(("store", "name"), PAIRS)
 def test_stored_run_equals_the_run(store, name, tmp_path):
     wanted, found = run(name), STORES[store](name, tmp_path)

@@ -50,6 +50,23 @@ def exact(inertia, x, h):
         return np.array(end, dtype=float), np.array(R.tolist(), dtype=float)
 
 
+@jax.jit
+def step_and_derivatives(x, A, inertia, h):
+    """Return the step, and its derivatives by the momentum and the moments: one program for each precision."""
+
+    def twice(x, inertia):
+        end = co.jax.free_body(x, A, inertia, h)
+        return end, end
+
+    derivatives, end = jax.jacfwd(twice, (0, 1), has_aux=True)(x, inertia)
+    return end, derivatives
+
+
+def step_of(x, inertia, h):
+    """Return the step of a body with the unit attitude."""
+    return step_and_derivatives(x, np.eye(3, dtype=x.dtype), inertia, h)[0]
+
+
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("turns", [0.03, -0.3, *long_beyond(1, (3.0, 1e-8))])
 @pytest.mark.parametrize("shape", SHAPES)
@@ -62,18 +79,16 @@ def test_motion_in_60_digits(shape, turns, kind):
     inertia, x, u = inertia_of(m, kind), np.array(x, kind), UNITS[kind]
     rate = max(1e-300, np.linalg.norm(np.array(m) * x))
     h = kind(turns * 2 * np.pi / rate if x.any() else turns)
-    A = np.asarray(AXES, kind)
-    A = np.asarray(co.jax.free_body(x * 0, A, inertia, h)[1])  # orthonormal in this precision
-    end, A1 = co.jax.free_body(x, A, inertia, h)
+    # At rest the step makes the axes orthonormal in this precision.
+    A = np.asarray(step_and_derivatives(x * 0, np.asarray(AXES, kind), inertia, h)[0][1])
+    (end, A1), ((of_x, of_inertia), turned) = step_and_derivatives(x, A, inertia, h)
     assert end.dtype == A1.dtype == kind
     wanted, R = exact(inertia, x, h)
     size, angle = np.linalg.norm(x), max(m) * np.linalg.norm(x) * abs(float(h))
     pieces = 1 + (max(m) - min(m)) * size * abs(float(h)) / (0.15 if kind == np.float64 else 0.4)
-    of_x, of_inertia = jax.jacfwd(lambda x, i: co.jax.free_body(x, A, i, h), (0, 1))(x, inertia)[0]
     carried = max(1.0, np.linalg.norm(of_x)) * size
     rounded = np.linalg.norm(of_inertia * inertia)
     assert np.linalg.norm(end - wanted) <= u * (3 * pieces * carried + 3 * rounded)
-    turned = jax.jacfwd(lambda x, i: co.jax.free_body(x, A, i, h)[1].ravel(), (0, 1))(x, inertia)
     carried = 3 * pieces * size * np.linalg.norm(turned[0]) + 3 * np.linalg.norm(turned[1] * inertia)
     assert np.linalg.norm(A1 - A.astype(float) @ R) <= u * (10 * (pieces + angle) + carried + 8)
     assert np.abs(A1.T @ A1 - np.eye(3)).max() <= 8 * u
@@ -84,7 +99,7 @@ def test_a_long_step_is_the_closed_form(sign, kind):
     """The rounding of the rates, of the period and of the rotation over it is some u of the angle."""
     x, inertia, h = np.ones(3), np.array((1.0, 2.0, 3.0)), sign * (1e6 if kind == np.float64 else 1e4)
     wanted = co.systems.rigid_body(inertia).exact(x, h, attitude=True)
-    found = co.jax.free_body(x.astype(kind), np.eye(3, dtype=kind), inertia.astype(kind), kind(h))
+    found = step_of(x.astype(kind), inertia.astype(kind), kind(h))
     bound = 20 * UNITS[kind] * (1 + np.linalg.norm(x / inertia) * abs(h))
     for one, other in zip(found, wanted, strict=True):
         assert np.abs(one - other).max() <= bound
@@ -93,7 +108,7 @@ def test_a_long_step_is_the_closed_form(sign, kind):
 @pytest.mark.thinned(2)
 def test_a_tensor_is_that_of_the_rotated_body(kind):
     u, x, I, h = UNITS[kind], np.array((0.3, 0.7, -0.5), kind), np.array((1.0, 1.5, 2.5)), 2.5
-    end, A = co.jax.free_body(x, np.eye(3, dtype=kind), I.astype(kind), kind(h))
+    end, A = step_of(x, I.astype(kind), kind(h))
     tensor = (AXES @ np.diag(I) @ AXES.T).astype(kind)
     for skew in (0.0, [[0.0, 0.5, -0.25], [-0.5, 0.0, 0.125], [0.25, -0.125, 0.0]]):  # which does not count
         inertia = tensor + np.array(skew, kind)
@@ -173,14 +188,14 @@ def test_second_derivatives_and_attitudes(kind):
 @pytest.mark.thinned(2)
 def test_momenta_of_any_size_and_ensembles(kind):
     x, inertia, h = np.array((0.3, 1.0, 0.2), kind), np.array((1.0, 1.5, 2.5), kind), kind(4.0)
-    wanted, A = co.jax.free_body(x, np.eye(3, dtype=kind), inertia, h)
+    wanted, A = step_of(x, inertia, h)
     for k in (-900, -64, 1, 900) if kind == np.float64 else (-100, -20, 1, 100):
         power = kind(2.0) ** k
-        found, B = co.jax.free_body(x * power, np.eye(3, dtype=kind), inertia, h / power)
+        found, B = step_of(x * power, inertia, h / power)
         assert (found == wanted * power).all() and (A == B).all()
     many = jax.vmap(co.jax.free_body, (0, None, 0, None))
     times = [1.0, 0.01, 3.0]
-    each = [co.jax.free_body(x * kind(s), np.eye(3, dtype=kind), inertia / kind(s), h) for s in times]
+    each = [step_of(x * kind(s), inertia / kind(s), h) for s in times]
     found = many(np.array([x * kind(s) for s in times]), np.eye(3, dtype=kind),
                  np.array([inertia / kind(s) for s in times]), h)  # fmt: skip
     for k in (0, 1):

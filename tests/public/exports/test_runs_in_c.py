@@ -122,7 +122,7 @@ def state_of(system, seed=0, size=1.0):
     return x
 
 
-@pytest.mark.thinned(9)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize("scheme", SCHEMES, ids=str)
 @pytest.mark.parametrize("name", co.systems.names())
 def test_ready_made_systems_have_the_bits_of_the_library(name, scheme, tmp_path):
@@ -152,7 +152,7 @@ CASES |= {
 }
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(7)
 @pytest.mark.parametrize("name", CASES)
 def test_every_kind_of_flow_has_the_bits_of_the_library(name, tmp_path):
     system, scheme = CASES[name]

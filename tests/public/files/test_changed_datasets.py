@@ -111,6 +111,7 @@ CHANGED = {
 }  # fmt: skip
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("case", CHANGED)
 def test_datasets_that_describe_no_run_are_refused(tmp_path, case):
     name, change, named = CHANGED[case]

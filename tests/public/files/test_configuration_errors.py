@@ -74,7 +74,6 @@ REFUSED = {
     "a step and an accuracy": (ready(STEP, f"{STEP}\naccuracy = 1e-8"), "run", ("step and accuracy",)),
     "an accuracy of one": (ready(STEP, "accuracy = 1.0"), "run.accuracy", ("1.0",), True),
     "an accuracy beyond rounding": (ready(STEP, "accuracy = 1e-19"), "run.accuracy", ("1e-19",)),
-    "a step as text": (ready(STEP, 'step = "0.1"'), "run.step", ("'0.1'",), True),
     "a step backward": (ready(STEP, "step = -0.1"), "run.step", ("-0.1",), True),
     "a step of zero": (ready(STEP, "step = 0"), "run.step", ("0",), True),
     "a step without end": (ready(STEP, "step = inf"), "run.step", ("inf", "finite")),
@@ -103,7 +102,6 @@ REFUSED = {
     "an unknown system": (ready('"rigid_body"', '"rigidbody"'), "system", ("'rigidbody'", "'rigid_body'"), True),
     "a parameter of no system": (
         ready("inertia =", "inertias ="), "system.parameters.inertias", ("'inertia'",), True),
-    "a negative moment": (ready("2.5]", "-2.5]"), "system", ("inertia[2]", "-2.5")),
     "the type of a parameter": (ready("[1.0, 2.0, 2.5]", "'heavy'"), "system", ("heavy",), True),
     "a sign of a ready-made system": (ready("[system]", "sign = -1\n[system]"), "sign", ("'rigid_body'",), True),
     "a name of a ready-made system": (ready("[system]", 'name = "a"\n[system]'), "name", ("[algebra]",), True),
@@ -142,9 +140,7 @@ REFUSED = {
     # Algebras and Hamiltonians.
     "two systems": (OWN + "[system]\nname = 'rigid_body'\n", "algebra", ("'rigid_body'",), True),
     "no Lie algebra": (own('[e3, e1] = e2"', '[e1, e3] = e1"'), "algebra.brackets", ("Jacobi", "(e1, e2, e3)")),
-    "another name": (own("[e3, e1] = e2", "[e3, e4] = e2"), "algebra.brackets", ("[e3, e4] = e2",)),
     "a bracket given twice": (own("[e3, e1] = e2", "[e2, e1] = e3"), "algebra.brackets", ("e2 and e1",)),
-    "a product": (own("[e3, e1] = e2", "[e3, e1] = e2 e1"), "algebra.brackets", ("[e3, e1] = e2 e1", "'e1'")),
     "names and a number": (own("dim = 3", 'dim = 2\nbasis = ["a", "b", "c"]'), "algebra.basis", ("3", "2")),
     "no dimension": (own("dim = 3\n"), "algebra.dim", ("missing",), True),
     "parameters of brackets": (own("dim = 3", "dim = 3\nparameters = {a = 1}"), "algebra.parameters", (), True),
@@ -158,19 +154,10 @@ REFUSED = {
     "an empty energy": (own(M), "hamiltonian.M", ("linear", "formula")),
     "a matrix and a polynomial": (hamiltonian(f'{M}\npolynomial = "x1"'), "hamiltonian.M", ("polynomial",)),
     "a short matrix": (hamiltonian("M = [1.0, 0.5]"), "hamiltonian", ("2", "3")),
-    "a matrix that is not symmetric": (
-        hamiltonian("M = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]"), "hamiltonian", ("symmetric",)),
     "a flag as a matrix": (hamiltonian("M = true"), "hamiltonian.M", ("number",), True),
     "a broken polynomial": (hamiltonian('polynomial = "x1^^2"'), "hamiltonian.polynomial", ("'x1^^2'",)),
     "a coordinate beyond": (hamiltonian('polynomial = "x4"'), "hamiltonian.polynomial", ("x4",)),
-    "a polynomial of a number": (hamiltonian("polynomial = 3"), "hamiltonian.polynomial", ("text",), True),
-    "exponents that are no list": (hamiltonian("polynomial = [[1.0, 2]]"), "hamiltonian.polynomial", ()),
-    "a short list of exponents": (hamiltonian("polynomial = [[1.0, [2]]]"), "hamiltonian.polynomial", ("(2,)",)),
-    "text as a coefficient": (hamiltonian('polynomial = [["a", [1, 0, 0]]]'), "hamiltonian.polynomial", ()),
-    "a negative exponent": (hamiltonian("polynomial = [[1.0, [1, -1, 0]]]"), "hamiltonian.polynomial", ("-1",)),
-    "a function in a polynomial": (hamiltonian('polynomial = "cos(x1)"'), "hamiltonian.polynomial", ("cos",)),
     "an unknown name": (hamiltonian('formula = "x1 + d"'), "hamiltonian.formula", ("'d'",)),
-    "a coordinate of a formula": (hamiltonian('formula = "cos(x7)"'), "hamiltonian.formula", ("x7", "x1 to x3")),
     "a formula over zero": (hamiltonian('formula = "x1/0"'), "hamiltonian.formula", ("'x1/0'", "zero")),
     "code": (hamiltonian('formula = "__import__(1)*x1"'), "hamiltonian.formula", ("'__import__'",)),
     "a formula and a matrix": (hamiltonian('formula = "x1"\nM = 1.0'), "hamiltonian.M", ("formula",)),
@@ -178,8 +165,6 @@ REFUSED = {
     "a coordinate as a parameter": (
         hamiltonian('formula = "x1"\nparameters = {x1 = 1}'), "hamiltonian.parameters.x1", ("coordinate",)),
     "a list as a parameter": (hamiltonian('formula = "a*x1"\nparameters = {a = [1]}'), "hamiltonian.parameters.a", ()),
-    "a formula of a number": (hamiltonian("formula = 1"), "hamiltonian.formula", ("1",), True),
-    "no Casimir": (own("+ x3^2", "+ x3^3"), "casimirs", ("|x|^2",)),
     "an unknown observable": (OWN + '[observe]\nspeed = "v1"\n', "observe.speed", ("'v1'",)),
     "matrices that do not close": (
         BY_MATRICES.replace("[0, 1, 0]]", "[0, 1, 1]]", 1), "algebra.matrices", ("[a, b]", "3")),
@@ -225,7 +210,6 @@ REFUSED = {
     "two kinds": (
         swept('"initial.x[0]" = { linear = [0, 1], uniform = [0, 1] }'),
         "sweep.over.initial.x[0]", ("linear", "uniform")),
-    "three ends": (swept('"initial.x[0]" = { linear = [0, 1, 2], count = 3 }'), "sweep.over.initial.x[0].linear", ()),
     "none of the kinds": (swept('"initial.x[0]" = {}'), "sweep.over.initial.x[0]", ("values, linear",)),
     "a logarithm of zero": (
         swept('"initial.x[0]" = { logarithmic = [0, 1], count = 3 }'), "sweep.over.initial.x[0]", ("[0, 1]",)),
@@ -238,8 +222,6 @@ REFUSED = {
     "ragged settings": (swept('"initial.x" = [[1.0, 2.0, 3.0], [1.0, 2.0]]'), "initial.x", ("(2,)", "member 1")),
     "ends in the wrong order": (
         swept('"initial.x[0]" = { uniform = [3, 1] }', TWO_SAMPLES), "sweep.over.initial.x[0]", ("[3, 1]", "smaller")),
-    "ends of a list in the wrong order": (
-        swept('"initial.x" = { uniform = [[0, 1, 2], 1.5] }', TWO_SAMPLES), "sweep.over.initial.x", ("smaller",)),
     "ends too far apart": (
         swept('"initial.x[0]" = { uniform = [-1e308, 1e308] }', TWO_SAMPLES), "sweep.over.initial.x[0]", ("distance",)),
     "a number rounded to zero": (ready(STEP, "step = 1e-400"), "", ("1e-400", "too small")),

@@ -42,7 +42,7 @@ SCHEMES = {name: co.methods.registry.scheme(name) for name in co.methods.names()
 # Systems.
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_runs_of_own_systems_are_repeated_and_loaded(name, tmp_path):
     """Their systems are equal, also copied and pickled, and no function is said to be lost."""
@@ -220,7 +220,7 @@ def toml(value):
     return "[" + ", ".join(map(toml, value)) + "]" if isinstance(value, list) else json.dumps(value)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", SCHEMES)
 @pytest.mark.filterwarnings("ignore")
 def test_schemes_are_stored_and_configured_with_every_parameter(name, files):
@@ -474,7 +474,7 @@ def pages_without_times(sol):
     return re.sub(r"; [^<]*", "", sol._repr_html_())
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", LOST)
 def test_functions_are_named_and_given_again_to_load(name, tmp_path):
     system, lost = LOST[name]

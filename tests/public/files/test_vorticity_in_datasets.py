@@ -24,6 +24,7 @@ def run(system, fluid, members=1):
     return co.integrate(system, x, (0, 1), 0.1, co.IsospectralGauss(), save_every=5)
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("members", [1, 2])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_vorticity_is_on_a_grid(name, members, tmp_path):

@@ -159,7 +159,7 @@ SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cos
 NAMES = [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in co.systems.names()]
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gallery_shows_every_system_and_says_it_in_words(name):
     """Lines, not dots; nothing reaches out of the figure; the energy is kept."""

@@ -25,6 +25,7 @@ from test_pictures_over_time import bodies, curves
 
 import coadjoint as co
 from group_elements import random_element
+from long import long_beyond
 from refusals import refused
 
 
@@ -221,7 +222,7 @@ def run_in_space(name: str, members: int | None) -> co.Solution:
     return co.integrate(system, x0 if members else x0[0], (T0, T0 + 1.0), 0.1, co.Splitting(2), attitude=carried)
 
 
-@pytest.mark.parametrize("members", [None, 3])
+@pytest.mark.parametrize("members", long_beyond(1, [3, None]))
 def test_labels_of_space_are_where_its_axes_point(members):
     """The picture of an axis of any ready-made body is the sum of its components times the arrows of X, Y and Z."""
     found = []

@@ -270,7 +270,7 @@ def law_at(run: Any, law: Any, rotation: Rotation) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in ("direct", "wheels") else pytest.mark.long) for name in CONTROLLED]
+    "name", [pytest.param(name, marks=() if name == "wheels" else pytest.mark.long) for name in CONTROLLED]
 )
 def test_the_pictures_of_a_controlled_body_are_its_errors_rates_torques_and_rotors(name):
     force, rotors = CONTROLLED[name]

@@ -129,6 +129,20 @@ def test_parts_of_a_batch_and_copies(scheme):
     assert np.array_equal(one.among(1, 3).run(x[1:], FORWARD, u=u[1:]).x, one.run(x, FORWARD, u=u).x[:, 1:])
 
 
+@pytest.mark.parametrize("scheme", ["flows", "Runge-Kutta"])
+def test_gradients_by_shared_inputs_add_up_over_starts(scheme):
+    """Of one system from several starts; inputs of each start have gradients of their own."""
+    ready = co.prepare(pushed(3), SCHEMES[scheme], STEP, inputs={"thrust": "Torque"})
+    rng = np.random.default_rng(7)
+    x, u = rng.uniform(0.3, 0.9, (3, 3)), rng.uniform(-0.3, 0.3, 3)
+    sol, pullback = ready.vjp(x, FORWARD, thrust=u)
+    weights = rng.normal(size=sol.x.shape)
+    of_each = [ready.vjp(x[m], FORWARD, thrust=u)[1](x=weights[:, m])["inputs"]["thrust"] for m in range(3)]
+    np.testing.assert_allclose(pullback(x=weights)["inputs"]["thrust"], sum(of_each), rtol=1e-12)
+    _, pullback = ready.vjp(x, FORWARD, thrust=np.tile(u, (3, 1)))
+    np.testing.assert_allclose(pullback(x=weights)["inputs"]["thrust"], of_each, rtol=1e-12)
+
+
 def test_labelled_values_have_the_order_of_members():
     xarray = pytest.importorskip("xarray")
     batch, x, inputs, (_, each, *_) = drawn("coefficients")

@@ -69,6 +69,7 @@ def test_long_steps_can_be_interrupted(step):
         timer.cancel()
 
 
+@pytest.mark.long
 def test_an_edited_file_is_compiled_again(step, tmp_path):
     """In the same process; a step that was compiled before the edit stays what it was."""
     path, body = tmp_path / "own_step.cpp", co.systems.rigid_body(inertia=(1, 2, 3))

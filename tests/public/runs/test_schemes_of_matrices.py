@@ -66,20 +66,6 @@ def test_modes_of_the_torus_against_forty_digits(method, N, counts, fine):
     assert fine is None or np.abs(last(system, W, 1.0, fine, method) - exact).max() < 1e-12
 
 
-@pytest.mark.thinned(15)
-@pytest.mark.parametrize("stages", [1, 2, 3])
-@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "sphere 65"])
-@pytest.mark.parametrize("direction", [1, -1])
-def test_isospectral_steps_are_the_plain_ones(name, stages, direction):
-    """Also after steps from which the loop guesses the next one."""
-    system, scheme = SYSTEMS[name](), co.IsospectralGauss(stages)
-    W = start(system)
-    h = direction * turning(system, W, 0.05)
-    for before, after in pairwise(co.integrate(system, W, (0, 3 * h), abs(h), scheme).x):
-        # The stages end where corrections of 1 stop falling; products of N entries round by some N^(1/2) units.
-        assert np.abs(after - scheme.step(system, before, 0.0, h)).max() < 32 * np.sqrt(system.shape[-1]) * U
-
-
 def dense_step(system, W, h):
     """Return a step of the midpoint rule, by dense inverses and fixed-point iteration for the stream matrix."""
     P, one = system.stream_of(W), np.eye(len(W))

@@ -120,7 +120,7 @@ FORCES = (
 )
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("forces", [(), FORCES], ids=["alone", "forced"])
 @pytest.mark.parametrize("scheme", [one for one in EXAMPLES + COMPOSED if serves(one, PUSHED)], ids=str)
 def test_tangents_of_every_scheme_are_those_at_their_time(scheme, forces):

@@ -78,20 +78,6 @@ def one_step(system, method, x, h):
     return co.integrate(system, x, (0.0, h), abs(h), method, watch=False).x[-1]
 
 
-@pytest.mark.thinned(15)
-@pytest.mark.parametrize("projected", [True, False])
-@pytest.mark.parametrize("name", list(systems()))
-def test_the_compiled_step_is_the_plain_one(name, projected):
-    """Coefficients are rounded once an operation, and a step adds those of size one: some n u."""
-    system = systems()[name]
-    x = start_of(system)
-    for order, h in ((1, 0.01), (2, 0.0625), (3, -0.0625), (4, 0.0625), (5, 0.125), (8, 0.25), (9, -0.25)):
-        method = co.Taylor(order, projected)
-        found, read = one_step(system, method, x, h), method.step(system, x, 0.0, h)
-        assert np.max(np.abs(found - read)) < 32 * np.sqrt(system.dim) * U * np.linalg.norm(x), order
-        assert np.max(np.abs(found - x)) > 1e-4
-
-
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("order", [12, 16, 23, 24, 25, 26, 33, 64])
 @pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "8 spins", "13 spins", "so(3), cubic"])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from long import long_where
 from refusals import refused
 
 BODY = co.systems.body((1.0, 2.0, 2.5))
@@ -48,7 +49,7 @@ def state_of(system):
     return system.state([0.0, 0.6, 0.0, 0.8], angular_velocity=(0.3, -0.2, 0.4))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", long_where(["torque", "sampled"], KINDS))
 def test_bits_are_those_of_literals_and_other_values_compile_nothing(kind, compiled):
     function, force = KINDS[kind]
     own = BODY.with_forces(force(co.forces.Torque(LITERAL[getattr(function, "py_func", function)])))
@@ -63,7 +64,7 @@ def test_bits_are_those_of_literals_and_other_values_compile_nothing(kind, compi
     assert len(compiled) == before and not np.array_equal(*alone)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", long_where(["torque", "sampled"], KINDS))
 def test_derivatives_by_arguments(kind):
     """One gradient by all of them, beside differences of runs with other values."""
     ready = co.prepare(system_of(kind), co.Splitting(), STEP)

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
+from long import long_where
 from refusals import refused
 
 F, S = co.forces, co.systems
@@ -66,7 +67,7 @@ def test_memories_are_coordinates_with_names(tmp_path, no_fsync):
     assert again.held == 12 and again.layout == sat.unforced.layout
 
 
-@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("delay", long_where([1], [0, 1, 3]))
 def test_a_command_waits_acts_and_is_rounded(delay):
     """The command at a sample is the nearest multiple of the limited torque so many samples before."""
     unit, limit = 2.0**-6, 0.25
@@ -98,6 +99,7 @@ def follow(y, begin, end, torque):
     return solve_ivp(turning, (begin, end), y, "DOP853", rtol=1e-11, atol=1e-12, args=(torque,)).y[:, -1]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("begin", [0.0, 40.0])
 @pytest.mark.parametrize("sampled", [True, False])
 def test_b_dot_slows_down_a_tumbling_body_as_by_dop853(sampled, begin):

@@ -83,6 +83,7 @@ def test_the_field_is_right_to_rounding_of_each_vector(make, ratio):
             assert np.abs(error[group]).max() <= 64 * 2.0**-53 * size[group].max()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     "function",
     [

@@ -203,6 +203,7 @@ def given():
     return runs(co.Hamiltonian(value, gradient, hessian))
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("form", FORMS)
 def test_runs_and_their_derivatives_are_those_of_given_functions(form, given):
     """In e(3), backward in time. Round-off of a gradient, 2^-52, is repeated in ten steps."""

@@ -279,6 +279,7 @@ def named(x):
     return np.cosh(x[0]) + np.tanh(x[2]) + x[1] * x[2]
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("H", "factor"),
     [

@@ -74,7 +74,7 @@ def energy_by_formula(q, name):
     return total
 
 
-@pytest.mark.parametrize("name", SURROUNDINGS)
+@pytest.mark.parametrize("name", long_where(["droplet"], SURROUNDINGS))
 def test_energies_and_forces_to_fifty_digits(name):
     """Sums of some hundred terms, the largest of them some hundred times the sum."""
     system, x = mixture(name)
@@ -139,7 +139,7 @@ def test_motion_by_dop853_in_quaternions(name):
     np.testing.assert_allclose(system.attitudes(sol.x[-1]), turned, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", long_where(["cutoff"], SURROUNDINGS))
+@pytest.mark.parametrize("name", long_where(["droplet", "cutoff"], SURROUNDINGS))
 def test_momentum_and_energy(name):
     """Totals to rounding, of sums over ten pairs in each of 400 steps; the energy to the order of the scheme."""
     system, x0 = mixture(name)

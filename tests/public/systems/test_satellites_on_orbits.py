@@ -45,6 +45,7 @@ def normal(angle):
     return Rotation.from_euler("z", np.asarray(angle)[:, None]).as_matrix()
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("shape", [CUBESAT, TENSOR], ids=["moments", "tensor"])
 @pytest.mark.parametrize(
     ("eccentricity", "bound"),

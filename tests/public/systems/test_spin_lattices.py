@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 import refusals
+from long import long_beyond
 from rounding import UNIT_ROUNDOFF
 
 spin_lattice = co.systems.spin_lattice
@@ -116,7 +117,7 @@ def field_of_each(t):
     return np.array([[0.5 * np.cos(2 * t), np.sin(2 * t), 0.0], [0.2 * np.cos(2 * t), -0.4 * np.sin(2 * t), 1.0]])
 
 
-@pytest.mark.parametrize("field", [field_of_all, field_of_each])
+@pytest.mark.parametrize("field", long_beyond(1, [field_of_each, field_of_all]))
 def test_field_in_time(field):
     """The field of each spin by hand, the gradient by differences, and a run against a code of SciPy."""
 
