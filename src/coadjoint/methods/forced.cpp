@@ -72,26 +72,37 @@ struct Forced final : StepScheme {
     }
 
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
-        for (const Substep& one : substeps)
-            if (const int64_t status = take(*inner[one.loop], x, dx, group, t + one.begin * h, one.length * h))
-                return status;
+        for (const Substep& one : substeps) {
+            const bool ends[] = {&one == &substeps.front(), &one == &substeps.back()};
+            if (const int64_t status = take(one, x, dx, group, t, h, ends)) return status;
+        }
         return DONE;
     }
 
-    int64_t take(InnerStep& inner, double* x, double* dx, double* group, double t, double h) {
-        const double half = 0.5 * h;
-        if (!evaluate(x, t)) return UNDEFINED;
-        for (auto force = forces.begin(); force != forces.end(); ++force)
-            if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
-        const int64_t status = inner.take(x, group, t, h, memory_size ? memory : nullptr);
+    // A substep of the step from t of length h, at the `ends` of which forces act that act around steps.
+    int64_t take(const Substep& one, double* x, double* dx, double* group, double t, double h, const bool* ends) {
+        InnerStep& inner = *this->inner[one.loop];
+        const double begin = t + one.begin * h, length = one.length * h, half = 0.5 * length;
+        const auto move_all = [&](auto force, const auto end, int64_t side) -> int64_t {
+            for (; force != end; ++force) {
+                const bool around = (*force)->around_steps();
+                if (around && !ends[side]) continue;
+                const int64_t status = around ? move(**force, x, dx, t, h, side ? begin + length : begin, side)
+                                              : move(**force, x, dx, side ? begin + half : begin, half,
+                                                     side ? begin + length : begin, side);
+                if (status != DONE) return status;
+            }
+            return DONE;
+        };
+        if (!evaluate(x, begin)) return UNDEFINED;
+        if (const int64_t status = move_all(forces.begin(), forces.end(), 0)) return status;
+        const int64_t status = inner.take(x, group, begin, length, memory_size ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;
         if (status != DONE) return status;
-        if (!evaluate(x, t + h)) return UNDEFINED;
-        for (auto force = forces.rbegin(); force != forces.rend(); ++force)
-            if (const int64_t status = move(**force, x, dx, t + half, half, t + h)) return status;
-        return DONE;
+        if (!evaluate(x, begin + length)) return UNDEFINED;
+        return move_all(forces.rbegin(), forces.rend(), 1);
     }
 
     double value(int64_t i, const double* x, double t) {
@@ -107,8 +118,8 @@ struct Forced final : StepScheme {
 
     // Apply the flow of a force, and add its changes of invariants, at the time `frozen`, to its work integrals, which are
     // stored behind the coordinates.
-    int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen) {
-        const int64_t status = force.flow(x, t, tau, member);
+    int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen, int64_t side) {
+        const int64_t status = force.flow(x, t, tau, member, side);
         evaluations += force.evaluations;
         iterations += force.iterations;
         residual = force.residual;

@@ -15,7 +15,8 @@ from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Ker
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.compiled import CompiledTables, as_structure
+from coadjoint.kernels.tables.compiled import CompiledTables, as_structure, raised_by
+from coadjoint.kernels.tables.field import field_of
 from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.steps import (
     INNER_LOOP_INDEX,
@@ -26,8 +27,10 @@ from coadjoint.kernels.tables.steps import (
 )
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
-from coadjoint.systems.coefficients import linear_of, with_linear
+from coadjoint.systems.coefficients import linear_of, with_hamiltonian, with_linear
 from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
+from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
+from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
 from coadjoint.systems.system_stacks import SystemStack, different
 
@@ -98,6 +101,7 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, work_integral: int, work_integrals: int, order: int, compiles: bool = True) -> None:
         self.called: Callable[..., Any] | None = None
+        self._system = system
         self._compiles, self.n, self._order = compiles, system.dim, order
         self._work_integrals = work_integral, work_integrals
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
@@ -131,6 +135,32 @@ class _ForceTableBuilder:
         set_fields = {"sets": len(noise.sets), "begin": begin, "direction": direction}
         noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
         return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
+
+    def hamiltonian_noise(self, terms: NoiseTerms, seed: int, stream: int, levels: int) -> ForceTable:
+        energies = {k: H for term in terms.terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)}
+        places = {k: place for place, k in enumerate(energies)}
+        columns = [[*map(places.get, term.indices)] if term.energies else term.indices for term in terms.terms]
+        leaders = [terms.terms[members[0]] for members in terms.sets]
+        if self._compiles:
+            self.keepalive = tuple(field_table(with_hamiltonian(self._system, H)) for H in energies.values())
+        begin = [np.cumsum([0, *map(len, rows)]) for rows in (terms.sets, columns)]
+        return self._table(
+            "HAMILTONIAN_NOISE",
+            np.concatenate([term.values for term in terms.terms]),
+            [0.0 if term.linear else float(len(term.fractions)) for term in leaders],
+            seed=seed,
+            stream=stream,
+            sets=len(terms.sets),
+            begin=np.concatenate(begin).astype(np.int64),
+            direction=np.concatenate([*terms.sets, *columns]).astype(np.int64),
+            extent=len(terms.terms),
+            position=levels,
+        )
+
+    def kicks(self, kicks: Kicks, seed: int, stream: int) -> ForceTable:
+        direction = np.stack([kicks.changed, kicks.state, kicks.number], axis=1).ravel()
+        more = {"seed": seed, "stream": stream, "extent": kicks.count, "sets": len(kicks.factor)}
+        return self._table("KICKS", kicks.factor, direction=direction, **more)
 
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> ForceTable:
         count, what = 3 * len(MEASURED), "the flow of a force"
@@ -209,6 +239,21 @@ def _adapted_arguments(
         return function(y[:n], t, y[n], y[n + 1 :])
 
     return {"t": of_time, "x, t, tau": of_flow, "x, t, tau, deviates": of_noisy_flow}[arguments]
+
+
+class FieldTable(KernelFunction):
+    """A table of a field, with the functions that it calls."""
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception that a function raised, if any."""
+        return raised_by(self._held[1])
+
+
+def field_table(system: Any) -> KernelFunction:
+    """Return the field of a system as a table at an address."""
+    field, owners = field_of(system)
+    structure = as_structure(field)
+    return FieldTable(ctypes.addressof(structure), (structure, owners), lambda: (field_table, (system,)))
 
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:

@@ -25,18 +25,18 @@ from coadjoint.systems.forces.base import (
     read_seed,
 )
 from coadjoint.systems.forces.orbit_flow import (
+    MAX_MIDPOINTS,
     Exponential,
     Midpoint,
     bracket_of,
     constant_hessian,
     exponential,
     exponential_with_tangent,
+    is_settled,
     metric_root,
+    midpoint,
 )
 from coadjoint.validation import read_nonnegative
-
-MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten
-SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
 
 
 @suggest_keywords
@@ -130,15 +130,10 @@ class DoubleBracketDamping(Force):
 
     def _midpoint(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the midpoint of the flow, and the direction of its exponential."""
-        middle, last_change = x, np.inf
-        for _ in range(MAX_SUBSTEPS):
-            before, v = middle, tau * self._damping_direction(system, middle, t + 0.5 * tau)
-            middle = exponential(system, 0.5 * v, x)
-            change = float(np.sum(np.abs(middle - before)))
-            if _is_settled(change, last_change, x):
-                return before, v
-            last_change = change
-        raise self._not_converged(t, last_change)
+        found = midpoint(system, lambda y: tau * self._damping_direction(system, y, t + 0.5 * tau), x)
+        if found.direction is None:
+            raise self._not_converged(t, found.residual)
+        return found.middle, found.direction
 
     def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
         """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
@@ -157,13 +152,13 @@ class DoubleBracketDamping(Force):
             return np.asarray(apply_metric(metric, y))
 
         middle, last_change = x, np.inf
-        for _ in range(MAX_SUBSTEPS):
+        for _ in range(MAX_MIDPOINTS):
             before, gradient = middle, hessian @ middle + linear
             v = scale * applied(bracket.product(middle, gradient))
             half = Exponential.of(bracket, 0.5 * v, x)
             middle = half.end
             change = float(np.sum(np.abs(middle - before)))
-            if _is_settled(change, last_change, x):
+            if is_settled(change, last_change, x):
                 gradient = hessian @ middle + linear
                 return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
             last_change = change
@@ -358,11 +353,6 @@ class HeatBath(DoubleBracketDamping):
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]
             yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
-
-
-def _is_settled(change: float, last_change: float, x: NDArray[Any]) -> bool:
-    """Test whether an iteration ends: its changes are those of rounding, and no longer halve."""
-    return change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x))))
 
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:
