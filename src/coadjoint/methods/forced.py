@@ -120,10 +120,11 @@ class Forced(Wrapper):
     a step, are then refused.
 
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
-    half flows in reverse order. A `HamiltonianNoise` acts before or after the whole step, in its place among them. Sampled laws are evaluated on the state at the start of the step, so that the first of
-    their forces is before all others. Each step of the base starts afresh, except for the initial guesses of schemes
-    for matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly
-    for `properties`, which names what is preserved and what breaks the rest.
+    half flows in reverse order. A `HamiltonianNoise` acts before or after the whole step, in its place among them.
+    Sampled laws are evaluated on the state at the start of the step, so that the first of their forces is before all
+    others. Each step of the base starts afresh, except for the initial guesses of schemes for matrices. `integrate`,
+    `prepare` and `stepper` apply it automatically if a system has forces; use it directly for `properties`, which names
+    what is preserved and what breaks the rest.
 
     Parameters
     ----------
@@ -204,11 +205,18 @@ class Forced(Wrapper):
         broken = [("Poisson map", inner.poisson, moving), ("energy", inner.energy, list(system.labels))]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
         broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
+        attitude = "none" if any(force.around_steps for force in system.forces) else inner.attitude
         return Properties(
-            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by
+            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, attitude, broken_by
         )
 
     def check_attitude(self, system: Any, representation: Any) -> None:
+        for label, force in zip(system.labels, system.forces, strict=True):
+            if force.around_steps:
+                raise TypeError(
+                    f"{label} turns the group element too, which attitude= does not follow; omit attitude=, or take a "
+                    "system whose state has the attitude, such as co.systems.body"
+                )
         self.base.check_attitude(system.unforced, representation)
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:

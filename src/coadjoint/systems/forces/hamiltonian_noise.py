@@ -17,7 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.coordinates import KINDS, coordinate_names
 from coadjoint.systems.forces.base import Force, ForceReader, normal_deviates, read_seed
 from coadjoint.systems.forces.orbit_flow import (
     Exponential,
@@ -42,7 +42,7 @@ FRACTIONS = (_OUTER, _OUTER, 1.0 - 4.0 * _OUTER, _OUTER, _OUTER)
 
 
 class NoiseTerm(NamedTuple):
-    """What a Brownian motion multiplies: coefficients of coordinates, or of `energies`, and fractions of their rules."""
+    """What a Brownian motion multiplies: coefficients of coordinates or of `energies`, and fractions of their rules."""
 
     indices: NDArray[np.int64]
     values: Floats
@@ -99,6 +99,7 @@ class OrbitNoise(Force):
     random: ClassVar[bool] = True
     uses_energy: ClassVar[bool] = False
     around_steps: ClassVar[bool] = True
+    moves: ClassVar[tuple[str, ...]] = KINDS
 
     def _read_numbers(self) -> None:
         """Validate the numbers of the noise."""
@@ -121,9 +122,6 @@ class OrbitNoise(Force):
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not have"
             )
         self.terms(system)
-
-    def _check_kinds(self, system: Any) -> None:
-        """Pass: the flow of a Hamiltonian changes axes and positions as motions do."""
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError(f"{type(self).__name__} is a noise, which has no field; its mean part is ito_drift")
@@ -312,7 +310,7 @@ class HamiltonianNoise(OrbitNoise):
 @suggest_keywords
 @dataclass(frozen=True)
 class RandomField(OrbitNoise):
-    """A random field on spins, white noise in the sense of Stratonovich: ``dS = ... + strength J(S) o dB`` at each site.
+    """A random field on spins, white noise in the sense of Stratonovich: ``dS = ... + strength J(S) o dB`` at sites.
 
     Choose it for dephasing and rotational diffusion of spins without a temperature; `HeatBath` adds the damping that
     leads to equilibrium. Each site has three independent Brownian motions, or all sites have the same three. A free

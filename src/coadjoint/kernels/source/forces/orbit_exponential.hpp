@@ -2,6 +2,7 @@
 #pragma once
 
 #include "field/field.hpp"
+#include "recording/watching.hpp"
 #include "steps/exponential.hpp"
 
 namespace coadjoint {

@@ -1,0 +1,356 @@
+"""Hamiltonian noise: closed forms, order, orbits, the same paths for every partition of a run, derivatives, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+F = co.forces
+FREE = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.zeros((3, 3))))
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def on(algebra, sign=1):
+    n = algebra.dim
+    B = np.random.default_rng(4).uniform(-0.2, 0.2, (n, n))
+    H = co.Quadratic(np.diag(np.linspace(0.6, 1.4, n)) + B + B.T, linear=np.linspace(-0.3, 0.4, n))
+    return co.LiePoissonSystem(algebra, H, sign=sign)
+
+
+SYSTEMS = {
+    "so(3)": lambda: co.systems.rigid_body((1.0, 2.0, 3.0)),
+    "so(4)": lambda: on(co.algebras.so(4), -1),
+    "e(3)": lambda: on(co.algebras.e(3)),
+    "A3,7": lambda: on(co.algebras.A3_7(0.7)),
+    "A5,40": lambda: on(co.algebras.get("A5,40")),
+    "two spins": lambda: on(co.algebras.copies(co.algebras.so(3), 2)),
+    "a body in space": lambda: co.systems.body((1.0, 2.0, 2.5)),
+}
+
+
+def start(system):
+    return np.linspace(0.7, -0.5, system.dim) if system.dim != 12 else system.state(np.eye(3), (0.3, 1.0, 0.2))
+
+
+def noises(n):
+    """Noise of every kind: linear, correlated, of one linear form, of commuting coordinates, and of neither."""
+    rows = np.random.default_rng(7).uniform(-0.5, 0.5, (3, n))
+    yield "linear", F.HamiltonianNoise(rows, (0.5, 0.8, 0.3), seed=3, stream=2)
+    yield "correlated", F.HamiltonianNoise(rows, rows[:, :2], seed=3)
+    yield "coordinates", F.HamiltonianNoise(np.eye(n), 0.4, seed=5)
+    yield "square", F.HamiltonianNoise(["(x1 + x2)^2/2", rows[0]], 0.4, seed=5)
+    yield "cosh", F.HamiltonianNoise(["cosh(x2/2)"], 0.4, seed=5)
+    yield "neither", F.HamiltonianNoise(["x1^2/2 + x2*x3 - x2^2/3"], 0.4, seed=5, levels=1)
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("kind", dict(noises(3)))
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "a body in space"])
+def test_compiled_steps_are_those_in_numpy_and_stay_on_the_orbit(name, kind):
+    """Midpoint rules end at corrections of 2^-40 of the state at the latest."""
+    system = SYSTEMS[name]()
+    noise, x0 = dict(noises(system.dim))[kind], start(system)
+    noisy = system.with_forces(noise)
+    for method in (co.Splitting(), co.Splitting(order=4), co.GaussLegendre(2)):
+        found = co.stepper(noisy, method, 0.1)(x0, 0.7)
+        plain = co.methods.Forced(method).step(noisy, x0, 0.7, 0.1)
+        assert np.max(np.abs(found - plain)) < 2.0**-36
+    left = co.integrate(noisy, x0, (-0.5, 4.5), 0.1).balance()
+    assert left.pop("energy") > 0.0 and all(value < 1e-11 for value in left.values()), left
+    assert co.methods.Forced(co.Splitting()).properties(noisy).poisson == (kind != "neither")
+
+
+def legendre(z):
+    return np.array([z, (3 * z**2 - 1) / 2, (5 * z**3 - 3 * z) / 2])
+
+
+def test_rotational_brownian_motion():
+    """E P_l = exp(-strength^2 l(l + 1) t/2); the error of 16 steps is below 1e-3, |P_l| at most one."""
+    members, sigma = 20_000, 0.7
+    noisy = FREE.with_forces(F.HamiltonianNoise(np.eye(3), sigma, seed=11))
+    sol = co.integrate(noisy, np.tile(UP, (members, 1)), (0, 1), 1 / 16, save_every=16, watch=False)
+    found = legendre(sol.x[-1, :, 2])
+    exact = np.exp(-(sigma**2) * np.array([2, 6, 12]) / 2)
+    np.testing.assert_allclose(exact, [0.612626, 0.229925, 0.052866], atol=1e-6)
+    assert np.all(np.abs(found.mean(axis=1) - exact) < 4 * found.std(axis=1) / np.sqrt(members) + 1e-3)
+
+
+def quadratic_operators():
+    """Return i times the angular momenta on functions of degree two, in the basis of spherical harmonics."""
+    m = np.arange(-2, 3)
+    up = np.diag(np.sqrt(6.0 - m[:-1] * (m[:-1] + 1.0)), -1)
+    return [1j * (up + up.T) / 2, (up - up.T) / 2, 1j * np.diag(m)]
+
+
+def mean_operators(strengths, steps, ordered=False):
+    """Return the mean operator of steps of noise alone over t = 1, by a fair coin or in a fixed order, and the limit."""
+    squares = [s**2 / 2 * L @ L for s, L in zip(strengths, quadratic_operators(), strict=True)]
+    one, two, three = (expm(A / steps) for A in squares)
+    step = one @ two @ three
+    step = step if ordered else 0.5 * (step + three @ two @ one)
+    return np.linalg.matrix_power(step, steps), expm(sum(squares))
+
+
+def test_order_two_by_the_coin_and_one_without():
+    """The means of the functions of degree two from an ensemble are those of the composition, to their standard error.
+
+    Errors against the limit fall as the square of the step, and as the step in a fixed order, which an ensemble of this
+    size tells apart from the coin.
+    """
+    strengths = (0.7, 1.1, 0.4)
+    errors = {
+        ordered: [np.linalg.norm(np.subtract(*mean_operators(strengths, n, ordered)), 2) for n in (2, 4, 8, 16)]
+        for ordered in (False, True)
+    }
+    np.testing.assert_allclose(errors[False], [1.5e-2, 4.5e-3, 1.2e-3, 3.2e-4], rtol=0.05)
+    assert errors[False][2] / errors[False][3] > 3.6 and errors[True][2] / errors[True][3] < 2.3
+    members, x0 = 30_000, np.array([1.0, 0.0, 0.0])
+    noisy = FREE.with_forces(F.HamiltonianNoise(np.diag(strengths), seed=12))
+    x = co.integrate(noisy, np.tile(x0, (members, 1)), (0, 1), 0.5, save_every=2, watch=False).x[-1]
+    found = x[:, :, None] * x[:, None, :]
+    means = {ordered: mean_of_products(strengths, x0, 2, ordered) for ordered in (False, True)}
+    error = found.std(axis=0) / np.sqrt(members)
+    assert np.all(np.abs(found.mean(axis=0) - means[False]) < 4 * error)
+    assert np.max(np.abs(means[True] - means[False]) / error) > 8
+
+
+def mean_of_products(strengths, x0, steps, ordered):
+    """Return the mean of x_i x_j after steps of the noise, from that of the rotations about each axis."""
+    generators = [np.cross(np.eye(3)[k], np.eye(3)) for k in range(3)]
+    each = [
+        expm(s**2 / (2 * steps) * np.linalg.matrix_power(np.kron(G, np.eye(3)) + np.kron(np.eye(3), G), 2))
+        for s, G in zip(strengths, generators, strict=True)
+    ]
+    in_order, reversed_order = each[2] @ each[1] @ each[0], each[0] @ each[1] @ each[2]
+    step = in_order if ordered else 0.5 * (in_order + reversed_order)
+    return (np.linalg.matrix_power(step, steps) @ np.outer(x0, x0).ravel()).reshape(3, 3)
+
+
+STRONG = {
+    "rigid body, one noise": ("so(3)", 1, 1.0),
+    "rigid body, three noises": ("so(3)", 3, 0.5),
+    "so(4), commuting noises": ("so(4)", 2, 1.0),
+    "two spins, four noises": ("two spins", 4, 0.5),
+}
+
+
+def strong_slope(system, noise, method, steps=(4, 8, 16, 32), members=200):
+    """Return the slope of distances between paths of steps that are halved, with its standard error."""
+    x0, ends = np.tile(start(system), (members, 1)), []
+    for count in steps:
+        levels = int(np.log2(steps[-1] // count))
+        noisy = system.with_forces(replace(noise, levels=levels))
+        ends.append(co.integrate(noisy, x0, (0.3, 1.3), 1 / count, method, save_every=count, watch=False).x[-1])
+    squares = [np.sum((one - other) ** 2, axis=1) for one, other in zip(ends, ends[1:], strict=False)]
+    logs = np.array([np.log2(one.mean()) / 2 for one in squares])
+    errors = np.array([one.std() / one.mean() / np.sqrt(members) / 2 / np.log(2) for one in squares])
+    return (logs[0] - logs[-1]) / (len(logs) - 1), np.hypot(errors[0], errors[-1]) / (len(logs) - 1)
+
+
+@pytest.mark.parametrize("case", STRONG)
+def test_strong_order(case):
+    name, count, order = STRONG[case]
+    system = SYSTEMS[name]()
+    rows = np.eye(system.dim)[:count]
+    if case == "so(4), commuting noises":
+        rows = np.array([[1.0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1.0]])
+        assert not np.any(system.algebra.structure_matrix(np.ones(6))[0, 5])
+    noise = F.HamiltonianNoise(rows, 0.4, seed=9)
+    assert (len(noise.terms(system).sets) == 1) == (order == 1.0)
+    slope, error = strong_slope(system, noise, co.Splitting())
+    assert error < 0.1 and abs(slope - order) < 0.2 + 3 * error, (slope, error)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_the_order_of_the_drift_remains_as_the_strength_goes_to_zero(order):
+    system, x0 = SYSTEMS["so(3)"](), start(SYSTEMS["so(3)"]())
+    weak = system.with_forces(F.HamiltonianNoise(np.eye(3), 1e-12, seed=4))
+    found = [co.integrate(weak, x0, (0, 2), 1 / n, co.Splitting(order=order)).x[-1] for n in (4, 8)]
+    errors = [np.linalg.norm(x - system.exact(x0, 2.0)) for x in found]
+    assert abs(np.log2(errors[0] / errors[1]) - order) < 0.3
+    assert errors[1] > 1e-9  # far above the noise
+
+
+def test_every_path_is_a_poisson_map():
+    for name in ("so(4)", "e(3)", "A5,40"):
+        system = SYSTEMS[name]()
+        noisy, x0 = system.with_forces(dict(noises(system.dim))["correlated"]), start(system)
+        assert co.methods.Forced(co.Splitting()).properties(noisy).poisson
+        ready = co.prepare(noisy, co.Splitting(), 0.1)
+        columns = [ready.jvp(x0, (0, 1), {"x0": e})[1].x[-1] for e in np.eye(system.dim)]
+        P, J = np.array(columns).T, system.algebra.structure_matrix
+        after = ready.run(x0, (0, 1)).x[-1]
+        size = np.abs(P).sum(axis=1).max() ** 2 * np.abs(J(x0)).max()
+        assert np.max(np.abs(P @ J(x0) @ P.T - J(after))) < 1e-13 * size
+
+
+@pytest.mark.parametrize("steps", [20_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+def test_casimirs_over_many_steps(steps):
+    """Rounding of each of four exponentials moves the square by at most some units; unbiased, as the square root."""
+    noisy = SYSTEMS["so(3)"]().with_forces(F.HamiltonianNoise(np.eye(3), 0.5, seed=8))
+    sol = co.integrate(noisy, (0.3, 1.0, 0.2), (0, steps / 16), 1 / 16, save_every=steps)
+    assert sol.balance()["|x|^2"] < 64 * UNIT_ROUNDOFF * np.sqrt(steps)
+
+
+def test_the_same_paths_for_every_partition_of_a_run(tmp_path):
+    system = SYSTEMS["so(3)"]()
+    noise = F.HamiltonianNoise(["x1", "x2^2/2"], 0.6, seed=5, stream=3)
+    noisy, x0 = system.with_forces(noise), start(system)
+    starts = np.linspace(0.5, 1.5, 37)[:, None] * x0
+    whole = co.integrate(noisy, starts, (0.25, 1.5), 1 / 8)
+    threaded = co.integrate(noisy, starts, (0.25, 1.5), 1 / 8, threads=2, save_every=5)
+    assert np.array_equal(threaded.x, whole.x[::5])
+    alone = system.with_forces(replace(noise, stream=3 + 20))
+    assert np.array_equal(co.integrate(alone, starts[20], (0.25, 1.5), 1 / 8).x, whole.x[:, 20])
+    first = co.integrate(noisy, starts, (0.25, 0.75), 1 / 8)
+    rest = co.integrate(noisy, first.x[-1], (0.75, 1.5), 1 / 8)
+    assert np.array_equal(rest.x[-1], whole.x[-1])
+    stored = co.integrate(noisy, starts, (0.25, 1.5), 1 / 8, archive=tmp_path / "noisy.zarr")
+    loaded = co.load(tmp_path / "noisy.zarr")
+    assert np.array_equal(loaded.x, whole.x) and np.array_equal(stored.x, whole.x)
+    assert loaded.system.forces == noisy.forces
+    others = [replace(noise, seed=6), replace(noise, stream=4), replace(noise, levels=1)]
+    ends = [co.integrate(system.with_forces(one), x0, (0.25, 1.5), 1 / 8).x[-1].tobytes() for one in (noise, *others)]
+    assert len(set(ends)) == 4
+
+
+@pytest.mark.parametrize("h", [0.1, 1 / 8, 0.37])
+def test_increments_of_a_step_are_sums_of_those_of_shorter_ones(h):
+    """Without drift commuting noise is exact: the ends are those of the path, from any time and by any step."""
+    spin = FREE.with_forces(F.HamiltonianNoise(UP, 0.8, seed=6))
+    ends = []
+    for levels, count in ((3, 3), (2, 6), (0, 24)):
+        noisy = FREE.with_forces(replace(spin.forces[0], levels=levels))
+        ends.append(co.integrate(noisy, (1.0, 0.0, 0.5), (0.7, 0.7 + 24 * h), 24 * h / count).x[-1])
+    assert np.max(np.abs(ends[0] - ends[-1])) < 1e-13 and np.max(np.abs(ends[1] - ends[-1])) < 1e-13
+    other = co.integrate(spin, (1.0, 0.0, 0.5), (0.7, 0.7 + 24 * h), 8 * h).x[-1]
+    assert np.max(np.abs(other - ends[-1])) > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["linear", "square", "neither"])
+def test_derivatives_along_a_path(kind):
+    system = SYSTEMS["so(4)"]()
+    noise, x0 = dict(noises(6))[kind], start(system)
+    noisy, direction = system.with_forces(noise), np.cos(np.arange(6.0))
+    ready = co.prepare(noisy, co.Splitting(), 0.1)
+    sol, along = ready.jvp(x0, (0, 0.5), {"x0": direction})
+    eps = 2.0**-17
+    moved = [ready.run(x0 + s * eps * direction, (0, 0.5)).x[-1] for s in (1, -1)]
+    assert np.max(np.abs(along.x[-1] - (moved[0] - moved[1]) / (2 * eps))) < 1e-7
+    row = np.sin(np.arange(6.0))
+    back = ready.vjp(x0, (0, 0.5), save_every=5)[1](x=np.stack([0 * row, row]))
+    assert abs(row @ along.x[-1] - back["x0"] @ direction) < 1e-9
+
+
+def test_units():
+    """States, energies and times in other units give the same path in those units."""
+    for size, second in ((1e-7, 1e30), (1e30, 1e-7)):
+        body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.array([1.0, 0.5, 0.3]) / size / second))
+        noisy = body.with_forces(F.HamiltonianNoise(np.eye(3), 0.3 / np.sqrt(second), seed=2))
+        sol = co.integrate(noisy, size * np.array([0.3, 1.0, 0.2]), (0, 2 * second), second / 8)
+        assert np.isfinite(sol.x).all() and sol.balance()["|x|^2"] < 1e-13
+        assert np.linalg.norm(sol.x[-1] - sol.x[0]) > 0.05 * size
+
+
+def test_work_of_each_noise():
+    system, x0 = SYSTEMS["so(3)"](), np.array([0.3, 1.0, 0.2])
+    noisy = system.with_forces(
+        F.HamiltonianNoise("x1", 0.5, seed=1), F.LinearDamping(0.1), F.HamiltonianNoise("x3^2/2", 0.5, seed=2)
+    )
+    sol = co.integrate(noisy, x0, (0, 5), 1 / 32, co.Splitting(parts="free_body"))
+    assert list(sol.work) == ["HamiltonianNoise", "LinearDamping", "HamiltonianNoise 2"]
+    total = sum(sol.work[label]["energy"][-1] for label in sol.work)
+    assert all(abs(sol.work[label]["energy"][-1]) > 1e-3 for label in sol.work)
+    assert abs(sol.energy[-1] - sol.energy[0] - total) < 1e-13  # the free body itself is exact
+
+
+@pytest.mark.parametrize("H", ["x1", "x1^2/2", "x1*x2 + x3^2"])
+def test_ito_drift(H):
+    """Half of D f f for f = J grad H, by differences of the field of H."""
+    for name in ("so(3)", "A3,7"):
+        system, x = SYSTEMS[name](), np.array([0.3, 1.0, 0.2])
+        field = co.LiePoissonSystem(system.algebra, H, sign=system.sign).vector_field
+        f, eps = 0.4 * field(x), 2.0**-18
+        wanted = 0.5 * 0.4 * (field(x + eps * f) - field(x - eps * f)) / (2 * eps)
+        noise = F.HamiltonianNoise(H, 0.4, seed=1)
+        assert np.max(np.abs(noise.ito_drift(system, x) - wanted)) < 1e-9
+
+
+def test_fields_on_spins():
+    lattice = co.systems.spin_lattice("square", (3, 4), field=(0.0, 0.0, 0.3))
+    x0 = np.random.default_rng(3).standard_normal((12, 3))
+    x0 = (x0 / np.linalg.norm(x0, axis=1, keepdims=True)).ravel()
+    for common, rows in ((False, np.eye(36)), (True, np.tile(np.eye(3), 12))):
+        field = lattice.with_forces(F.RandomField((0.5, 0.2, 0.4), common=common, seed=3))
+        strengths = np.tile((0.5, 0.2, 0.4), 1 if common else 12)
+        plain = lattice.with_forces(F.HamiltonianNoise(rows, strengths, seed=3))
+        found, wanted = (co.integrate(one, x0, (0, 1), 1 / 16, co.Splitting()).x[-1] for one in (field, plain))
+        assert np.array_equal(found, wanted)
+        assert np.max(np.abs(np.linalg.norm(found.reshape(12, 3), axis=1) - 1)) < 1e-13
+    with refused(TypeError, "RandomField", "so(3)"):
+        co.systems.heavy_top().with_forces(F.RandomField(0.5, seed=3))
+
+
+@pytest.mark.parametrize("axes", ["body", "space"])
+def test_random_torques(axes):
+    """The momentum in the axes of the torque is that of Brownian motion: mean and covariance t S S^T, exactly."""
+    body, S, members = co.systems.body((1.0, 2.0, 2.5)), np.array([[0.3, 0, 0], [0.1, 0.2, 0], [0, 0.1, 0.4]]), 20_000
+    noisy = body.with_forces(F.RandomTorque(S, axes, seed=4))
+    x0 = body.state(np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0], (0.3, 1.0, 0.2))
+    plain = co.methods.Forced(co.Splitting()).step(noisy, x0, 0.7, 0.1)
+    assert np.max(np.abs(co.stepper(noisy, co.Splitting(), 0.1)(x0, 0.7) - plain)) < 64 * UNIT_ROUNDOFF
+    if axes == "body":  # a ball at rest does not turn the axes of its torque by much
+        noisy = co.systems.body((1e6, 1e6, 1e6)).with_forces(noisy.forces[0])
+    x = co.integrate(noisy, np.tile(x0, (members, 1)), (0, 2), 0.5, save_every=4, watch=False).x[-1]
+    L, L0, A = body.angular_momentum(x), body.angular_momentum(x0), body.attitudes(x)
+    if axes == "space":
+        L, L0 = np.einsum("mij,mj->mi", A, L), body.attitudes(x0) @ L0
+    mean, covariance = L.mean(axis=0) - L0, np.cov(L.T)
+    wanted = 2 * S @ S.T
+    assert np.all(np.abs(mean) < 4 * np.sqrt(np.diag(wanted) / members))
+    errors = np.sqrt((np.outer(np.diag(wanted), np.diag(wanted)) + wanted**2) / members)
+    assert np.all(np.abs(covariance - wanted) < 4 * errors)
+
+
+def test_refusals():
+    body = SYSTEMS["so(3)"]()
+    noise = F.HamiltonianNoise("x1", 0.5, seed=1)
+    for arguments, named_values in (
+        (([],), ("hamiltonians", "empty")),
+        ((np.eye(3), (0.1, 0.2)), ("strength", "(2,)", "3")),
+        ((np.eye(3), np.ones((2, 2))), ("strength", "(2, 2)", "3")),
+        (([[1.0, np.nan, 0.0]],), ("hamiltonians", "nan")),
+        ((np.ones((2, 2, 2)),), ("hamiltonians", "(2, 2)")),
+        ((np.eye(3), np.inf), ("strength", "inf")),
+    ):
+        with refused(ValueError, *named_values):
+            F.HamiltonianNoise(*arguments, seed=1)
+    with refused(TypeError, "HamiltonianNoise", "seed"):
+        F.HamiltonianNoise(np.eye(3))
+    with refused(TypeError, "hamiltonians", "3"):
+        F.HamiltonianNoise(3, seed=1)
+    for wrong in (np.eye(4), "x4", "x1 + t", co.Polynomial({(1, 1): 1.0})):
+        with refused(ValueError, "HamiltonianNoise"):
+            body.with_forces(F.HamiltonianNoise(wrong, seed=1))
+    with refused(ValueError, "HamiltonianNoise", "backward"):
+        co.integrate(body.with_forces(noise), (0.3, 1.0, 0.2), (1, 0), 0.1)
+    with refused(ValueError, "seed"):
+        body.with_forces(noise, noise)
+    for call in (body.with_forces(noise).vector_field, body.with_forces(noise).power):
+        with refused(TypeError, "HamiltonianNoise", "ito_drift"):
+            call((0.3, 1.0, 0.2))
+    with refused(TypeError, "HamiltonianNoise", "matrices"):
+        co.systems.sphere_euler(N=4).with_forces(noise)
+    with refused(ValueError, "HamiltonianNoise", "structure constants"):
+        co.systems.separable_cosh and co.PoissonSystem(
+            lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), "x1^2 + x2^2", dim=2
+        ).with_forces(F.HamiltonianNoise("x1", seed=1))
+    with refused(TypeError, "RandomTorque", "bodies"):
+        FREE.with_forces(F.RandomTorque(0.1, seed=1))
+    with refused(TypeError, "RandomTorque", "attitude"):
+        body.with_forces(F.RandomTorque(0.1, "space", seed=1))
