@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -46,8 +47,7 @@ def distances(noise: co.forces.HamiltonianNoise, steps: list[int]) -> Floats:
     for count in [*steps, 2 * steps[-1]]:
         noisy = body.with_forces(replace(noise, levels=int(np.log2(2 * steps[-1] // count))))
         ends.append(co.integrate(noisy, [(0.3, 1.0, 0.2)] * PATHS, (0, 1), 1 / count, save_every=count).x[-1])
-    pairs = zip(ends, ends[1:], strict=False)
-    return np.array([np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) for a, b in pairs])
+    return np.array([np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) for a, b in pairwise(ends)])
 
 
 def draw() -> plt.Figure:

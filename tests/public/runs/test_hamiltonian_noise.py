@@ -1,6 +1,7 @@
-"""Hamiltonian noise: closed forms, order, orbits, the same paths for every partition of a run, derivatives, refusals."""
+"""Hamiltonian noise: closed forms, order, orbits, equal paths for every partition of a run, derivatives, refusals."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def quadratic_operators():
 
 
 def mean_operators(strengths, steps, ordered=False):
-    """Return the mean operator of steps of noise alone over t = 1, by a fair coin or in a fixed order, and the limit."""
+    """Return the mean operator of steps of noise alone over t = 1, by a coin or in a fixed order, and the limit."""
     squares = [s**2 / 2 * L @ L for s, L in zip(strengths, quadratic_operators(), strict=True)]
     one, two, three = (expm(A / steps) for A in squares)
     step = one @ two @ three
@@ -146,7 +147,7 @@ def strong_slope(system, noise, method, steps=(4, 8, 16, 32), members=200):
         levels = int(np.log2(steps[-1] // count))
         noisy = system.with_forces(replace(noise, levels=levels))
         ends.append(co.integrate(noisy, x0, (0.3, 1.3), 1 / count, method, save_every=count, watch=False).x[-1])
-    squares = [np.sum((one - other) ** 2, axis=1) for one, other in zip(ends, ends[1:], strict=False)]
+    squares = [np.sum((one - other) ** 2, axis=1) for one, other in pairwise(ends)]
     logs = np.array([np.log2(one.mean()) / 2 for one in squares])
     errors = np.array([one.std() / one.mean() / np.sqrt(members) / 2 / np.log(2) for one in squares])
     return (logs[0] - logs[-1]) / (len(logs) - 1), np.hypot(errors[0], errors[-1]) / (len(logs) - 1)
@@ -238,7 +239,7 @@ def test_derivatives_along_a_path(kind):
     noise, x0 = dict(noises(6))[kind], start(system)
     noisy, direction = system.with_forces(noise), np.cos(np.arange(6.0))
     ready = co.prepare(noisy, co.Splitting(), 0.1)
-    sol, along = ready.jvp(x0, (0, 0.5), {"x0": direction})
+    _, along = ready.jvp(x0, (0, 0.5), {"x0": direction})
     eps = 2.0**-17
     moved = [ready.run(x0 + s * eps * direction, (0, 0.5)).x[-1] for s in (1, -1)]
     assert np.max(np.abs(along.x[-1] - (moved[0] - moved[1]) / (2 * eps))) < 1e-7

@@ -338,7 +338,7 @@ class RandomField(OrbitNoise):
     --------
     >>> import coadjoint as co
     >>> import numpy as np
-    >>> ring = co.systems.spin_lattice("ring", 8, J=0.0).with_forces(co.forces.RandomField(0.5, seed=1))
+    >>> ring = co.systems.spin_lattice("ring", 8, exchange=0.0).with_forces(co.forces.RandomField(0.5, seed=1))
     >>> up = np.tile((0.0, 0.0, 1.0), (500, 8)).reshape(500, 24)
     >>> sol = co.integrate(ring, up, t_span=(0, 1), step=0.25)
     >>> bool(abs(sol.x[-1, :, 2::3].mean() - np.exp(-(0.5**2))) < 0.04)
