@@ -35,6 +35,9 @@ class Force {
     // Whether it acts before (side 0) or after (side 1) a whole step, and not in substeps.
     bool around_steps() const { return noise != nullptr; }
 
+    // Whether it acts on this side of the step from t of length h.
+    bool acts(double t, double h, int64_t member, int64_t side) { return noise->acts(t, h, member, side); }
+
     // Apply the flow to x from time t for the time tau, negative for backward; return a status.
     int64_t flow(double* x, double t, double tau, int64_t member, int64_t side) {
         iterations = evaluations = 0;

@@ -5,6 +5,8 @@
 
 #include "forces/orbit_exponential.hpp"
 #include "forces/random.hpp"
+#include "forces/spin_rows.hpp"
+#include "numbers/arithmetic.hpp"
 
 namespace coadjoint {
 
@@ -18,8 +20,7 @@ class HamiltonianNoise {
     // of coordinates, or of the functions whose fields are at `function`. Increments are sums of 2^position.
     HamiltonianNoise(const ForceTable& table, const Field& field, const MemberConstants& constants)
         : exponential(field, constants), table(table), n(field.size), rows(table.begin + table.sets + 1),
-          columns(table.direction + table.extent), v(n), middle(n), slope(n), drawn(table.extent + 1),
-          sums(table.extent) {
+          columns(table.direction + table.extent), v(n), middle(n), slope(n), drawn(table.extent + 1), steps(KEPT) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
             for (int64_t b = table.direction[table.begin[set]], q = rows[b]; table.aim[set] != 0.0 && q < rows[b + 1]; ++q)
@@ -28,14 +29,17 @@ class HamiltonianNoise {
             fields.push_back(reinterpret_cast<const Field*>(table.function[k]));
             workspaces.emplace_back(new FieldWorkspace<double>(*fields.back()));
         }
+        of_spins = spins.find(field, constants);
     }
 
-    // The noise of a step from t of length h on one side of it, before (0) or after (1): all of it in order or in
-    // reversed order, or none, by a fair coin.
+    // Whether the noise of a step from t of length h acts before it (side 0) or after it (1), by a fair coin.
+    bool acts(double t, double h, int64_t member, int64_t side) { return drawn_for(t, h, member).first == (side == 0); }
+
+    // The noise of a step on the side on which it acts: in order before it, and in reversed order after it.
     int64_t flow(double* x, double t, double h, int64_t member, int64_t side) {
         exponential.iterations = exponential.evaluations = 0;
         exponential.residual = std::numeric_limits<double>::quiet_NaN();
-        if (!(draw(t, h, member) == (side == 0))) return DONE;
+        sums = drawn_for(t, h, member).sums.data();
         for (int64_t k = 0; k < table.sets; ++k) {
             const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
             const int64_t first = table.direction[table.begin[set]];
@@ -48,7 +52,10 @@ class HamiltonianNoise {
                 const int64_t b = table.direction[e];
                 for (int64_t q = rows[b]; q < rows[b + 1]; ++q) v[columns[q]] += sums[b] * table.rate[q];
             }
-            if (!exponential(v.data(), 1.0, x, x)) return exponential.failed(v.data());
+            if (of_spins)
+                rotate_spins(x);
+            else if (!exponential(v.data(), 1.0, x, x))
+                return exponential.failed(v.data());
         }
         return DONE;
     }
@@ -56,28 +63,78 @@ class HamiltonianNoise {
   private:
     const ForceTable& table;
     const int64_t n;
+    Spins spins;
+    bool of_spins = false;  // whether the algebra is a sum of so(3), where exponentials are rotations
     const int64_t *rows, *columns;
-    std::vector<double> v, middle, slope, drawn, sums;
+    std::vector<double> v, middle, slope, drawn;
+    const double* sums = nullptr;  // increments of the step
     std::vector<const Field*> fields;
     std::vector<std::unique_ptr<FieldWorkspace<double>>> workspaces;
 
-    // Set `sums` to the increments of a step; return the coin. Increments of equal lengths are the same in steps of
-    // other lengths: their number is that of the time in small quanta, in which rounded times agree.
-    bool draw(double t, double h, int64_t member) {
+    // The increments of a step, and whether the noise is first.
+    struct Drawn {
+        double t, h;
+        int64_t member = -1;
+        bool first = false;
+        std::vector<double> sums;
+    };
+    static constexpr int64_t KEPT = 64;  // steps of members that are taken together
+    std::vector<Drawn> steps;
+
+    // Increments of equal lengths are the same in steps of other lengths: their number is that of the time in small
+    // quanta, in which rounded times agree.
+    const Drawn& drawn_for(double t, double h, int64_t member) {
+        Drawn& step = steps[member % KEPT];
+        if (step.member == member && step.t == t && step.h == h) return step;
         const int64_t parts = int64_t(1) << table.position, count = table.extent;
         const double length = h / double(parts), quantum = length / QUANTA;
-        bool first = false;
-        std::fill_n(sums.data(), count, 0.0);
+        step.t = t, step.h = h, step.member = member;
+        step.sums.assign(count, 0.0);
         InterruptCheck::of_this_call().after(64 * parts * count);
         for (int64_t k = 0; k < parts; ++k) {
             const double number = std::floor((t + double(k) * length) / quantum + 0.5);
             DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), number, 0).draw(0, count + 1, drawn.data());
-            for (int64_t b = 0; b < count; ++b) sums[b] += drawn[b];
-            if (k == 0) first = drawn[count] < 0.0;
+            for (int64_t b = 0; b < count; ++b) step.sums[b] += drawn[b];
+            if (k == 0) step.first = drawn[count] < 0.0;
         }
         const double size = std::sqrt(length);
-        for (int64_t b = 0; b < count; ++b) sums[b] *= size;
-        return first;
+        for (int64_t b = 0; b < count; ++b) step.sums[b] *= size;
+        return step;
+    }
+
+    // Set x to exp(D_v) x, where D_v x = turn x cross v for each spin: a rotation of x in closed form.
+    void rotate_spins(double* x) const {
+        for (int64_t s = 0; s < spins.size(); ++s) {
+            const int64_t at[3] = {spins.coordinate[0][s], spins.coordinate[1][s], spins.coordinate[2][s]};
+            const double w[3] = {spins.turn[s] * v[at[0]], spins.turn[s] * v[at[1]], spins.turn[s] * v[at[2]]};
+            const int axes = (w[0] != 0.0) + (w[1] != 0.0) + (w[2] != 0.0);
+            if (axes == 0) continue;
+            if (axes == 1) {
+                const int a = w[0] != 0.0 ? 0 : w[1] != 0.0 ? 1 : 2, b = (a + 1) % 3, c = (a + 2) % 3;
+                const Rotation<double> rotation = rotation_by(w[a]);
+                const double one = x[at[b]], two = x[at[c]];
+                x[at[b]] = one + fma(rotation.cosm1, one, rotation.sine * two);
+                x[at[c]] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
+                continue;
+            }
+            const double square = fma(w[0], w[0], fma(w[1], w[1], w[2] * w[2]));
+            if (square == 0.0) continue;
+            const double angle = std::sqrt(square);
+            const Rotation<double> rotation = rotation_by(angle);
+            const double first = rotation.sine / angle, second = -(rotation.cosm1 / square);
+            double across[3], back[3];
+            const double y[3] = {x[at[0]], x[at[1]], x[at[2]]};
+            cross(y, w, across);
+            cross(across, w, back);
+            for (int a = 0; a < 3; ++a) x[at[a]] = y[a] + fma(first, across[a], second * back[a]);
+        }
+    }
+
+    static void cross(const double* x, const double* w, double* out) {
+        for (int a = 0; a < 3; ++a) {
+            const int b = (a + 1) % 3, c = (a + 2) % 3;
+            out[a] = fma(x[b], w[c], -(x[c] * w[b]));
+        }
     }
 
     // Midpoint rules over fractions of the increment: one, which is exact, or those of Suzuki, of order four.
