@@ -282,7 +282,7 @@ class HamiltonianNoise(OrbitNoise):
     stream: int = 0
     levels: int = 0
 
-    example: ClassVar = {"hamiltonians": ("0.3*x1", "0.2*x2"), "strength": 0.5, "seed": 3}
+    example: ClassVar = {"hamiltonians": ("0.3*x1", "0.2*x2"), "strength": 0.5, "seed": 11}
 
     def __post_init__(self) -> None:
         self._read(hamiltonians=_read_hamiltonians, strength=_read_strength)
@@ -351,7 +351,7 @@ class RandomField(OrbitNoise):
     stream: int = 0
     levels: int = 0
 
-    example: ClassVar = {"strength": 0.3, "seed": 3}
+    example: ClassVar = {"strength": 0.3, "seed": 12}
 
     def __post_init__(self) -> None:
         self._read(strength=_read_strength, common=read_bool)

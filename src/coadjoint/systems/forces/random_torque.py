@@ -81,7 +81,7 @@ class RandomTorque(Force):
     seed: Any = None
     stream: int = 0
 
-    example: ClassVar = {"strength": 0.05, "seed": 3}
+    example: ClassVar = {"strength": 0.05, "seed": 13}
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
     uses_energy: ClassVar[bool] = False
