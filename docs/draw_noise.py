@@ -15,7 +15,7 @@ import coadjoint as co
 
 PICTURE = Path(__file__).with_name("noise.png")
 Floats = NDArray[np.float64]
-MEMBERS, PATHS = 4000, 400
+MEMBERS, PATHS = 20_000, 400
 STRENGTHS, FIELD = np.array([0.7, 1.1, 0.4]), np.array([1.0, 0.5, -0.3])
 START = np.array([0.48, 0.6, 0.64])
 
@@ -73,6 +73,9 @@ def draw() -> plt.Figure:
     panels[2].loglog(1 / np.array(counts), 0.2 / np.array(counts), "k--", label="$h$")
     panels[2].loglog(1 / np.array(counts), 0.4 / np.sqrt(counts), "k-.", label=r"$\sqrt{h}$")
     panels[2].set(xlabel="step h", title="distances between paths")
+    for panel, lengths in zip(panels[1:], (steps, np.array(counts)), strict=True):
+        panel.set_xticks(1 / lengths, [f"1/{count}" for count in lengths])
+        panel.minorticks_off()
     for panel in panels:
         panel.legend()
     return figure

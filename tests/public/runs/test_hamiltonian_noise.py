@@ -1,7 +1,7 @@
 """Hamiltonian noise: closed forms, order, orbits, equal paths for every partition of a run, derivatives, refusals."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def noises(n):
 
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize("kind", dict(noises(3)))
-@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "a body in space"])
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name not in ("a body in space", "vortices")])
 def test_compiled_steps_are_those_in_numpy_and_stay_on_the_orbit(name, kind):
     """Midpoint rules end at corrections of 2^-40 of the state at the latest."""
     system = SYSTEMS[name]()
@@ -88,28 +88,45 @@ def quadratic_operators():
     return [1j * (up + up.T) / 2, (up - up.T) / 2, 1j * np.diag(m)]
 
 
-def mean_operators(strengths, steps, ordered=False):
-    """Return the mean operator of steps of noise alone over t = 1, by a coin or in a fixed order, and the limit."""
+def midpoint_operator(strengths, h):
+    """Return the mean operator of a step of the midpoint rule with all noise at once: rotations by Cayley's formula."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+    total, unit = np.zeros((5, 5), dtype=complex), np.eye(5)
+    for (a, b, c), (u, v, w) in zip(product(nodes, repeat=3), product(weights, repeat=3), strict=True):
+        turn = np.sqrt(h) * np.array((a, b, c)) * strengths
+        angle = np.linalg.norm(turn)
+        turn *= 2 * np.arctan(angle / 2) / (angle or 1.0)
+        generator = sum(t * L for t, L in zip(turn, quadratic_operators(), strict=True))
+        total += u * v * w * (expm(generator) if angle else unit)
+    return total / (2 * np.pi) ** 1.5
+
+
+def mean_operators(strengths, steps, kind="coin"):
+    """Return the mean operator of steps of noise alone over t = 1, and the limit."""
     squares = [s**2 / 2 * L @ L for s, L in zip(strengths, quadratic_operators(), strict=True)]
     one, two, three = (expm(A / steps) for A in squares)
-    step = one @ two @ three
-    step = step if ordered else 0.5 * (step + three @ two @ one)
+    step = {
+        "ordered": lambda: one @ two @ three,
+        "coin": lambda: 0.5 * (one @ two @ three + three @ two @ one),
+        "midpoint": lambda: midpoint_operator(strengths, 1 / steps),
+    }[kind]()
     return np.linalg.matrix_power(step, steps), expm(sum(squares))
 
 
 def test_order_two_by_the_coin_and_one_without():
     """The means of the functions of degree two from an ensemble are those of the composition, to their standard error.
 
-    Errors against the limit fall as the square of the step, and as the step in a fixed order, which an ensemble of this
-    size tells apart from the coin.
+    Errors against the limit fall as the square of the step. In a fixed order, which an ensemble of this size tells
+    apart from the coin, and in the midpoint rule with all noise at once, they fall as the step.
     """
     strengths = (0.7, 1.1, 0.4)
     errors = {
-        ordered: [np.linalg.norm(np.subtract(*mean_operators(strengths, n, ordered)), 2) for n in (2, 4, 8, 16)]
-        for ordered in (False, True)
+        kind: [np.linalg.norm(np.subtract(*mean_operators(strengths, n, kind)), 2) for n in (2, 4, 8, 16)]
+        for kind in ("coin", "ordered", "midpoint")
     }
-    np.testing.assert_allclose(errors[False], [1.5e-2, 4.5e-3, 1.2e-3, 3.2e-4], rtol=0.05)
-    assert errors[False][2] / errors[False][3] > 3.6 and errors[True][2] / errors[True][3] < 2.3
+    np.testing.assert_allclose(errors["coin"], [1.5e-2, 4.5e-3, 1.2e-3, 3.2e-4], rtol=0.05)
+    ratios = {kind: found[2] / found[3] for kind, found in errors.items()}
+    assert ratios["coin"] > 3.6 and ratios["ordered"] < 2.3 and ratios["midpoint"] < 2.3, ratios
     members, x0 = 30_000, np.array([1.0, 0.0, 0.0])
     noisy = FREE.with_forces(F.HamiltonianNoise(np.diag(strengths), seed=12))
     x = co.integrate(noisy, np.tile(x0, (members, 1)), (0, 1), 0.5, save_every=2, watch=False).x[-1]
@@ -132,7 +149,29 @@ def mean_of_products(strengths, x0, steps, ordered):
     return (np.linalg.matrix_power(step, steps) @ np.outer(x0, x0).ravel()).reshape(3, 3)
 
 
+def log_energy(x):
+    """Return the energy of three vortices on a sphere, of strengths 1, 0.6 and -0.8."""
+
+    def pair(i, j, strength):
+        return strength * np.log(1.0 - x[3 * i] * x[3 * j] - x[3 * i + 1] * x[3 * j + 1] - x[3 * i + 2] * x[3 * j + 2])
+
+    return -(pair(0, 1, 0.6) + pair(0, 2, -0.8) + pair(1, 2, -0.48)) / 4.0
+
+
+def vortices():
+    """Return three vortices, whose strengths are factors of the brackets."""
+    c = {}
+    for s, strength in enumerate((1.0, 0.6, -0.8)):
+        i, j, k = range(3 * s, 3 * s + 3)
+        c |= {(i, j): {k: 1 / strength}, (j, k): {i: 1 / strength}, (i, k): {j: -1 / strength}}
+    return co.LiePoissonSystem(co.LieAlgebra.from_brackets(9, c), co.Hamiltonian(log_energy))
+
+
+SYSTEMS["vortices"] = vortices
+
 STRONG = {
+    "vortices, three common noises": ("vortices", 3, 0.5),
+    "vortices, one common noise": ("vortices", 1, 1.0),
     "rigid body, one noise": ("so(3)", 1, 1.0),
     "rigid body, three noises": ("so(3)", 3, 0.5),
     "so(4), commuting noises": ("so(4)", 2, 1.0),
@@ -161,9 +200,11 @@ def test_strong_order(case):
     if case == "so(4), commuting noises":
         rows = np.array([[1.0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1.0]])
         assert not np.any(system.algebra.structure_matrix(np.ones(6))[0, 5])
+    if name == "vortices":  # the same field turns all of them
+        rows = np.tile(np.eye(3), 3)[:count]
     noise = F.HamiltonianNoise(rows, 0.4, seed=9)
     assert (len(noise.terms(system).sets) == 1) == (order == 1.0)
-    slope, error = strong_slope(system, noise, co.Splitting())
+    slope, error = strong_slope(system, noise, co.GaussLegendre(1) if name == "vortices" else co.Splitting())
     assert error < 0.1 and abs(slope - order) < 0.2 + 3 * error, (slope, error)
 
 
@@ -246,6 +287,42 @@ def test_derivatives_along_a_path(kind):
     row = np.sin(np.arange(6.0))
     back = ready.vjp(x0, (0, 0.5), save_every=5)[1](x=np.stack([0 * row, row]))
     assert abs(row @ along.x[-1] - back["x0"] @ direction) < 1e-9
+
+
+@pytest.mark.parametrize("strength", [0.4, (0.5, 0.8, 0.3)])
+def test_derivatives_by_the_strength(strength):
+    system, rows = SYSTEMS["so(4)"](), np.random.default_rng(7).uniform(-0.5, 0.5, (3, 6))
+    noise, x0 = F.HamiltonianNoise(rows, strength, seed=3), start(SYSTEMS["so(4)"]())
+    row, eps, along = np.sin(np.arange(6.0)), 2.0**-16, np.cos(np.arange(np.size(strength)))
+    along = along.reshape(np.shape(strength))
+    ready = co.prepare(system.with_forces(noise), co.Splitting(), 0.1)
+    back = ready.vjp(x0, (0, 0.5), save_every=5)[1](x=np.stack([0 * row, row]))
+    found = np.sum(np.asarray(back["HamiltonianNoise.strength"]) * along)
+    moved = [
+        co.integrate(
+            system.with_forces(replace(noise, strength=np.asarray(strength) + s * eps * along)), x0, (0, 0.5), 0.1
+        )
+        for s in (1, -1)
+    ]
+    assert abs(found - row @ (moved[0].x[-1] - moved[1].x[-1]) / (2 * eps)) < 1e-7
+
+
+CERTIFIED = {
+    "rigid body": ("so(3)", 0.02, 0.125),
+    "Manakov's top": ("so(4)", 0.02, 0.25),
+}
+
+
+@pytest.mark.parametrize("case", ["Manakov's top", pytest.param("rigid body", marks=pytest.mark.long)])
+def test_certified_orders(case):
+    """Weak order two of weak noise, whose averages show the drift between noise, and strong order one half."""
+    name, strength, step = CERTIFIED[case]
+    system = SYSTEMS[name]()
+    noisy = system.with_forces(F.HamiltonianNoise(np.eye(system.dim)[:3], strength, seed=1))
+    certificate = co.certify(noisy, co.Splitting(), start(system), step, steps=20)
+    weak, strong = certificate["weak order of HamiltonianNoise"], certificate["strong order of HamiltonianNoise"]
+    assert weak.verdict == strong.verdict == "holds" and "paths" in weak.measured
+    assert abs(weak.value - 2.0) < 0.5 and strong.value > 0.4
 
 
 def test_units():
