@@ -177,7 +177,7 @@ class ForceReaders:
         """Return additive noise, exact."""
 
         def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
-            drawn = jnp.sqrt(tau) * normal_deviates(seed, stream + member, t, 0, kicks.count)
+            drawn = jnp.sqrt(tau) * normal_deviates(seed, stream + member, t, 0, kicks.motions)
             values = jnp.where(kicks.state < 0, 1.0, x[kicks.state])
             return x.at[kicks.changed].add(kicks.factor * values * drawn[kicks.number])
 

@@ -256,6 +256,11 @@ def test_the_same_paths_for_every_partition_of_a_run(tmp_path):
     loaded = co.load(tmp_path / "noisy.zarr")
     assert np.array_equal(loaded.x, whole.x) and np.array_equal(stored.x, whole.x)
     assert loaded.system.forces == noisy.forces
+    for H in (co.Polynomial({(2, 0, 0): 0.1, (0, 1, 1): 1.0 / 3.0}), co.Quadratic((1.0, 2.0, 3.0))):
+        with_object = system.with_forces(F.HamiltonianNoise([H, (1.0, 0.0, 0.5)], 0.3, seed=1))
+        kept = co.integrate(with_object, x0, (0, 0.5), 1 / 8, archive=tmp_path / f"{type(H).__name__}.zarr")
+        again = co.load(tmp_path / f"{type(H).__name__}.zarr").system
+        assert np.array_equal(co.integrate(again, x0, (0, 0.5), 1 / 8).x, kept.x)
     others = [replace(noise, seed=6), replace(noise, stream=4), replace(noise, levels=1)]
     ends = [co.integrate(system.with_forces(one), x0, (0.25, 1.5), 1 / 8).x[-1].tobytes() for one in (noise, *others)]
     assert len(set(ends)) == 4

@@ -159,7 +159,7 @@ class _ForceTableBuilder:
 
     def kicks(self, kicks: Kicks, seed: int, stream: int) -> ForceTable:
         direction = np.stack([kicks.changed, kicks.state, kicks.number], axis=1).ravel()
-        more = {"seed": seed, "stream": stream, "extent": kicks.count, "sets": len(kicks.factor)}
+        more = {"seed": seed, "stream": stream, "extent": kicks.motions, "sets": len(kicks.factor)}
         return self._table("KICKS", kicks.factor, direction=direction, **more)
 
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> ForceTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
@@ -294,6 +295,10 @@ class HamiltonianNoise(OrbitNoise):
                 f"({count},), or ({count}, m) for m Brownian motions"
             )
 
+    def parameters(self) -> Mapping[str, Any]:
+        """Return the parameters, with polynomials as formulas, and other Hamiltonians as the functions of their values."""
+        return {**super().parameters(), "hamiltonians": tuple(map(_plain_hamiltonian, self.hamiltonians))}
+
     def hamiltonians_on(self, system: Any) -> tuple[HamiltonianLike, ...]:
         """Return the Hamiltonians H_k on a system."""
         return tuple(_on_system(H, system, type(self).__name__) for H in self.hamiltonians)
@@ -465,6 +470,16 @@ def _read_one(value: Any, what: str) -> Any:
     if array.ndim != 1 or not array.size:
         raise ValueError(f"{what} has the shape {array.shape}; coefficients of a linear function have the shape (n,)")
     return as_tuples(array)
+
+
+def _plain_hamiltonian(H: Any) -> Any:
+    """Return a Hamiltonian as coefficients or a formula, which records store, or as a function, which they do not."""
+    polynomial = H.to_polynomial() if isinstance(H, Quadratic) and H.dim is not None else H
+    if isinstance(polynomial, Polynomial):
+        with suppress(ValueError):  # a formula in other names
+            if Polynomial(str(polynomial), polynomial.dim) == polynomial:
+                return str(polynomial)
+    return H if isinstance(H, str | tuple) or callable(H) else H.value
 
 
 def _read_strength(value: Any, what: str) -> Any:

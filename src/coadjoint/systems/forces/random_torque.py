@@ -26,7 +26,7 @@ class Kicks(NamedTuple):
     factor: NDArray[np.float64]
 
     @property
-    def count(self) -> int:
+    def motions(self) -> int:
         """Number of Brownian motions."""
         return int(self.number.max(initial=-1)) + 1
 
@@ -121,7 +121,7 @@ class RandomTorque(Force):
         if tau < 0.0:
             raise ValueError("RandomTorque is a noise, which does not run backward")
         kicks = self.kicks(system)
-        drawn = normal_deviates(self.seed, self.stream, float(t), 0, kicks.count)
+        drawn = normal_deviates(self.seed, self.stream, float(t), 0, kicks.motions)
         return kicks, kicks.factor * (np.sqrt(float(tau)) * drawn)[kicks.number]
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
@@ -144,7 +144,8 @@ class RandomTorque(Force):
 def _kicks(strength: Any, axes: str, system: Any) -> Kicks:
     S = np.asarray(strength, dtype=np.float64)
     S = S if S.ndim == 2 else np.diag(np.broadcast_to(S, 3))
-    places, rows = places_of_torques(system).reshape(-1, 3), []
+    places = places_of_torques(system).reshape(-1, 3)
+    rows: list[tuple[int, int, int, float]] = []
     for k, momenta in enumerate(places.tolist()):
         for i, changed in enumerate(momenta):
             for b in range(3):
@@ -152,5 +153,4 @@ def _kicks(strength: Any, axes: str, system: Any) -> Kicks:
                     rows.append((changed, -1, 3 * k + b, S[i, b]))
                 else:  # entry A[r, i] of the attitude behind the momentum
                     rows += [(changed, momenta[0] + 3 + 3 * r + i, 3 * k + b, S[r, b]) for r in range(3)]
-    changed, state, number, factor = zip(*rows, strict=True)
-    return Kicks(np.array(changed), np.array(state), np.array(number), np.array(factor))
+    return Kicks(*map(np.array, zip(*rows, strict=True)))
