@@ -40,11 +40,11 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
 
         def substep(state: Any, at: Any) -> Any:
             (x, attitude), (begin, length, halves) = state, at
-            for j, *when in halves[0]:
-                x = _on_side(flows[j], 0)(energy, x, *when, member)
+            for j, time, duration in halves[0]:
+                x = _on_side(flows[j], 0)(energy, x, time, duration, member)
             x, attitude = inner.whole(own, (x, attitude), begin, length, member)
-            for j, *when in halves[1]:
-                x = _on_side(flows[j], 1)(energy, x, *when, member)
+            for j, time, duration in halves[1]:
+                x = _on_side(flows[j], 1)(energy, x, time, duration, member)
             return x, attitude
 
         if len(scheme.fractions) == 1 or any(flow.around_steps for _, flow in system.flows):

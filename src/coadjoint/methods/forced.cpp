@@ -50,7 +50,8 @@ struct Forced final : BatchScheme {
             elapsed += substep.length;
         }
         for (int64_t k = 0; k < tables.whole[5]; ++k)
-            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
+            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field,
+                                          tables.group, constants));
         for (const auto& force : forces) measured = measured && force->measures() && force->table.work_integrals <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
         // substeps of other lengths.
@@ -85,18 +86,18 @@ struct Forced final : BatchScheme {
     // A substep of the step from t of length h, at the `ends` of which forces act that act around steps.
     int64_t take(const Substep& one, double* x, double* dx, double* group, double t, double h, const bool* ends) {
         InnerStep& inner = *this->inner[one.loop];
-        if (const int64_t status = move_all(one, 0, x, dx, t, h, ends[0])) return status;
+        if (const int64_t status = move_all(one, 0, x, dx, group, t, h, ends[0])) return status;
         const int64_t status =
             inner.take(x, group, t + one.begin * h, one.length * h, memory_size ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;
         if (status != DONE) return status;
-        return move_all(one, 1, x, dx, t, h, ends[1]);
+        return move_all(one, 1, x, dx, group, t, h, ends[1]);
     }
 
     // Apply the flows of all forces before (side 0) or after (1) a substep; at an end of the step also those around it.
-    int64_t move_all(const Substep& one, int64_t side, double* x, double* dx, double t, double h, bool end) {
+    int64_t move_all(const Substep& one, int64_t side, double* x, double* dx, double* group, double t, double h, bool end) {
         const double begin = t + one.begin * h, length = one.length * h, half = 0.5 * length;
         const double frozen = side ? begin + length : begin;
         bool evaluated = false;
@@ -106,8 +107,8 @@ struct Forced final : BatchScheme {
             if (around && !(end && force.acts(t, h, member, side))) continue;
             if (!evaluated && !evaluate(x, frozen)) return UNDEFINED;
             evaluated = true;
-            const int64_t status = around ? move(force, x, dx, t, h, frozen, side)
-                                          : move(force, x, dx, side ? begin + half : begin, half, frozen, side);
+            const int64_t status = around ? move(force, x, dx, group, t, h, frozen, side)
+                                          : move(force, x, dx, group, side ? begin + half : begin, half, frozen, side);
             if (status != DONE) return status;
         }
         return DONE;
@@ -125,7 +126,7 @@ struct Forced final : BatchScheme {
                 if (to->status != DONE) continue;
                 member = to->number;
                 evaluations = iterations = 0;
-                to->status = move_all(one, side, to->x, to->dx, t, h, end);
+                to->status = move_all(one, side, to->x, to->dx, nullptr, t, h, end);
                 to->evaluations += evaluations;
                 to->iterations += iterations;
                 to->residual = residual;
@@ -163,8 +164,9 @@ struct Forced final : BatchScheme {
 
     // Apply the flow of a force, and add its changes of invariants, at the time `frozen`, to its work integrals, which are
     // stored behind the coordinates.
-    int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen, int64_t side) {
-        const int64_t status = force.flow(x, t, tau, member, side);
+    int64_t move(Force& force, double* x, double* dx, double* group, double t, double tau, double frozen,
+                 int64_t side) {
+        const int64_t status = force.flow(x, group, t, tau, member, side);
         evaluations += force.evaluations;
         iterations += force.iterations;
         residual = force.residual;

@@ -205,18 +205,11 @@ class Forced(Wrapper):
         broken = [("Poisson map", inner.poisson, moving), ("energy", inner.energy, list(system.labels))]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
         broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
-        attitude = "none" if any(force.around_steps for force in system.forces) else inner.attitude
         return Properties(
-            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, attitude, broken_by
+            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by
         )
 
     def check_attitude(self, system: Any, representation: Any) -> None:
-        for label, force in zip(system.labels, system.forces, strict=True):
-            if force.around_steps:
-                raise TypeError(
-                    f"{label} turns the group element too, which attitude= does not follow; omit attitude=, or take a "
-                    "system whose state has the attitude, such as co.systems.body"
-                )
         self.base.check_attitude(system.unforced, representation)
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:

@@ -239,6 +239,20 @@ def test_casimirs_over_many_steps(steps):
     assert sol.balance()["|x|^2"] < 64 * UNIT_ROUNDOFF * np.sqrt(steps)
 
 
+@pytest.mark.parametrize("kind", ["linear", "square", "neither"])
+def test_the_group_element_moves_with_the_momentum(kind):
+    """The momentum in space is constant on every path, for rotations and for the coadjoint matrix of so(4)."""
+    for name, attitude in (("so(3)", True), ("so(4)", "coadjoint")):
+        system = SYSTEMS[name]()
+        noisy, x0 = system.with_forces(dict(noises(system.dim))[kind]), start(system)
+        sol = co.integrate(noisy, x0, (0, 5), 0.1, co.Splitting(), attitude=attitude)
+        assert np.max(np.abs(np.einsum("kij,kj->ki", sol.attitude, sol.x) - x0)) < 1e-13
+        assert np.array_equal(sol.x, co.integrate(noisy, x0, (0, 5), 0.1, co.Splitting()).x)
+        assert np.max(np.abs(sol.attitude[-1] - np.eye(system.dim))) > 0.1
+        with refused(TypeError, "HamiltonianNoise", "attitude"):
+            co.prepare(noisy, co.Splitting(), 0.1, attitude=attitude).jvp(x0, (0, 1), {"x0": x0})
+
+
 def test_the_same_paths_for_every_partition_of_a_run(tmp_path):
     system = SYSTEMS["so(3)"]()
     noise = F.HamiltonianNoise(["x1", "x2^2/2"], 0.6, seed=5, stream=3)

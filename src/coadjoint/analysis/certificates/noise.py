@@ -137,13 +137,12 @@ def _ends(subject: Subject, system: System, force: OrbitNoise, number: int, x0: 
 def _row(subject: Subject, moments: Moments, name: str, claim: float, slope: Slope, kind: str) -> Row:
     values, errors = moments.strong() if kind == "strong" else moments.weak()
     declared, paths = f"{claim:g}", f"{moments.paths} paths"
-    evidence = {
-        "steps": subject.h * np.array(FACTORS[:-1]),
-        "differences": values,
-        "errors": errors,
-        "paths": moments.paths,
+    steps = subject.h * np.array(FACTORS[:-1])
+    evidence = {"steps": steps, "differences": values, "errors": errors, "paths": moments.paths}
+    more: dict[str, Any] = {
+        "evidence": evidence,
+        "source": "declared; the slope may be lower by 1/4 and twice its standard error",
     }
-    more = {"evidence": evidence, "source": "declared; the slope may be lower by 1/4 and twice its standard error"}
     rounding = 64.0 * STEPS * UNIT_ROUNDOFF * moments.size
     if np.all(moments.strong()[0] <= rounding):
         return checked(name, name, declared, True, True, f"no difference above round-off, {paths}", **more)
@@ -153,6 +152,6 @@ def _row(subject: Subject, moments: Moments, name: str, claim: float, slope: Slo
         needed = f"some {moments.paths * ratio:.0e} paths" if 1.0 < ratio < 1e6 else "stronger noise or a larger step"
         reason = f"the averages differ too little for their standard errors; this needs {needed}"
         return replace(checked(name, name, declared, True, None, seen, **more), verdict=INAPPLICABLE, reason=reason)
-    measured = f"order {slope.order:.2f} +- {slope.error:.2f}, by {paths}, steps from {evidence['steps'][0]:.3g}"
+    measured = f"order {slope.order:.2f} +- {slope.error:.2f}, by {paths}, steps from {steps[0]:.3g}"
     holds = slope.order + 2.0 * slope.error >= claim - MARGIN
     return checked(name, name, declared, True, holds, measured, value=slope.order, bound=claim, **more)

@@ -233,7 +233,8 @@ class HamiltonianNoise(OrbitNoise):
     acts around the whole step of schemes of higher order too, which keep their order as the strength goes to zero.
 
     The noise is a function of the seed, the number of the member and the time only, as that of `HeatBath`: it does not
-    depend on threads, other members, or interruptions. Runs backward in time raise an error.
+    depend on threads, other members, or interruptions. Runs backward in time raise an error. With ``attitude=`` the
+    group element moves by the same exponentials, so that the momentum in space is constant.
 
     Parameters
     ----------

@@ -20,8 +20,8 @@ class Force {
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
-    Force(const ForceTable& table, const Field& field, const MemberConstants& constants)
-        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponent(field, constants),
+    Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
+        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponent(field, group, constants),
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
           three(n), four(n), five(n), six(n) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
@@ -29,7 +29,7 @@ class Force {
             spins.reset(new SpinBath(table, field, constants));
             if (!*spins) spins.reset();
         }
-        if (table.kind == HAMILTONIAN_NOISE) noise.reset(new HamiltonianNoise(table, field, constants));
+        if (table.kind == HAMILTONIAN_NOISE) noise.reset(new HamiltonianNoise(table, field, group, constants));
     }
 
     // Whether it acts before (side 0) or after (side 1) a whole step, and not in substeps.
@@ -38,8 +38,9 @@ class Force {
     // Whether it acts on this side of the step from t of length h.
     bool acts(double t, double h, int64_t member, int64_t side) { return noise->acts(t, h, member, side); }
 
-    // Apply the flow to x from time t for the time tau, negative for backward; return a status.
-    int64_t flow(double* x, double t, double tau, int64_t member, int64_t side) {
+    // Apply the flow to x from time t for the time tau, negative for backward; return a status. A flow around a step also
+    // moves the group element, if there is one.
+    int64_t flow(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
         switch (table.kind) {
@@ -48,7 +49,7 @@ class Force {
             case OF_TIME: return push_by_time(x, t, tau);
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
-            case HAMILTONIAN_NOISE: return shake_by(x, t, tau, member, side);
+            case HAMILTONIAN_NOISE: return shake_by(x, element, t, tau, member, side);
             case KICKS: return kick(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
@@ -244,8 +245,8 @@ class Force {
         return defined(x);
     }
 
-    int64_t shake_by(double* x, double t, double tau, int64_t member, int64_t side) {
-        const int64_t status = noise->flow(x, t, tau, member, side);
+    int64_t shake_by(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
+        const int64_t status = noise->flow(x, element, t, tau, member, side);
         evaluations = noise->exponential.evaluations;
         iterations = noise->exponential.iterations;
         residual = noise->exponential.residual;

@@ -18,8 +18,9 @@ class HamiltonianNoise {
     // direction[begin[s + 1] - 1], and aim[s] midpoint rules, or one exponential if that is zero. Behind the sets `begin`
     // has a row for each Brownian motion, whose columns follow the numbers in `direction`, with coefficients in `rate`:
     // of coordinates, or of the functions whose fields are at `function`. Increments are sums of 2^position.
-    HamiltonianNoise(const ForceTable& table, const Field& field, const MemberConstants& constants)
-        : exponential(field, constants), table(table), n(field.size), rows(table.begin + table.sets + 1),
+    HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group,
+                     const MemberConstants& constants)
+        : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size), rows(table.begin + table.sets + 1),
           columns(table.direction + table.extent), v(n), middle(n), slope(n), drawn(table.extent + 1), steps(KEPT) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
@@ -35,8 +36,9 @@ class HamiltonianNoise {
     // Whether the noise of a step from t of length h acts before it (side 0) or after it (1), by a fair coin.
     bool acts(double t, double h, int64_t member, int64_t side) { return drawn_for(t, h, member).first == (side == 0); }
 
-    // The noise of a step on the side on which it acts: in order before it, and in reversed order after it.
-    int64_t flow(double* x, double t, double h, int64_t member, int64_t side) {
+    // The noise of a step on the side on which it acts: in order before it, and in reversed order after it. A group
+    // element moves with the state.
+    int64_t flow(double* x, double* element, double t, double h, int64_t member, int64_t side) {
         exponential.iterations = exponential.evaluations = 0;
         exponential.residual = std::numeric_limits<double>::quiet_NaN();
         sums = drawn_for(t, h, member).sums.data();
@@ -44,7 +46,7 @@ class HamiltonianNoise {
             const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
             const int64_t first = table.direction[table.begin[set]];
             if (midpoints) {
-                if (const int64_t status = by_midpoints(x, t, first, midpoints)) return status;
+                if (const int64_t status = by_midpoints(x, element, t, first, midpoints)) return status;
                 continue;
             }
             std::fill_n(v.data(), n, 0.0);
@@ -56,11 +58,13 @@ class HamiltonianNoise {
                 rotate_spins(x);
             else if (!exponential(v.data(), 1.0, x, x))
                 return exponential.failed(v.data());
+            if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
         }
         return DONE;
     }
 
   private:
+    const bool has_group;
     const ForceTable& table;
     const int64_t n;
     Spins spins;
@@ -138,7 +142,7 @@ class HamiltonianNoise {
     }
 
     // Midpoint rules over fractions of the increment: one, which is exact, or those of Suzuki, of order four.
-    int64_t by_midpoints(double* x, double t, int64_t b, int64_t midpoints) {
+    int64_t by_midpoints(double* x, double* element, double t, int64_t b, int64_t midpoints) {
         for (int64_t k = 0; k < midpoints; ++k) {
             const double fraction = midpoints == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER;
             const int64_t status = exponential.midpoint(x, v.data(), middle.data(), [&](const double* y, double* to) {
@@ -152,6 +156,7 @@ class HamiltonianNoise {
                 for (int64_t i = 0; i < n; ++i) to[i] *= fraction * sums[b];
             });
             if (status != DONE) return status;
+            if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
         }
         return DONE;
     }

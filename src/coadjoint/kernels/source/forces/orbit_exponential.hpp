@@ -12,8 +12,9 @@ class OrbitExponential {
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
-    OrbitExponential(const Field& field, const MemberConstants& constants)
-        : field(field), constants(constants), n(field.size), exponential(n), sums(n), before(n), workspace(field) {}
+    OrbitExponential(const Field& field, const GroupField& group, const MemberConstants& constants)
+        : field(field), group(group), constants(constants), n(field.size),
+          exponential(std::max(n, group.size * group.size)), sums(std::max(n, group.size)), before(n), workspace(field) {}
 
     // Set out to exp(factor D_v) x; false if it is not defined, or too long.
     bool operator()(const double* v, double factor, const double* x, double* out) {
@@ -28,6 +29,20 @@ class OrbitExponential {
             product(field, constants, from, v, factor * part, to, workspace);
         });
         for (int64_t i = 0; i < n; ++i) out[i] = x[i] + exponential.move[i];
+        return true;
+    }
+
+    // Move the group element, which is transposed, by the same exponential; false as above.
+    bool turn(const double* v, double* element) {
+        std::fill(sums.begin(), sums.end(), 0.0);
+        for (int64_t q = 0; q < group.entries; ++q)
+            sums[group.column[q]] = fma(absolute(constants.number_at<double>(group.value, q)),
+                                        absolute(v[group.element[q]]), sums[group.column[q]]);
+        if (!exponential.measure(sums.data(), group.size, group.size * group.entries)) return false;
+        exponential.act(element, group.size * group.size, [&](const double* from, double part, double* to) {
+            group_slope(group, constants, v, from, part, to);
+        }, group.size);
+        for (int64_t i = 0; i < group.size * group.size; ++i) element[i] += exponential.move[i];
         return true;
     }
 
@@ -61,6 +76,7 @@ class OrbitExponential {
 
   private:
     const Field& field;
+    const GroupField& group;
     const MemberConstants constants;
     const int64_t n;
     ExponentialAction exponential;
