@@ -2,8 +2,8 @@
 
 python benchmarks/hamiltonian_noise.py [--members M ...] [--threads T] [--steps S] [--rounds R]
 
-Energies are not watched. Without forces, members are lanes of a loop of flows alone; with any force each step calls that
-loop for 64 members, and counts the work.
+Energies are not watched. Without forces, members are lanes of a loop of flows alone; with any force each step calls
+that loop for 64 members, and counts the work.
 """
 
 from __future__ import annotations

@@ -297,7 +297,7 @@ class HamiltonianNoise(OrbitNoise):
             )
 
     def parameters(self) -> Mapping[str, Any]:
-        """Return the parameters, with polynomials as formulas, and other Hamiltonians as the functions of their values."""
+        """Return the parameters, with polynomials as formulas, and other Hamiltonians as functions of their values."""
         return {**super().parameters(), "hamiltonians": tuple(map(_plain_hamiltonian, self.hamiltonians))}
 
     def hamiltonians_on(self, system: Any) -> tuple[HamiltonianLike, ...]:
@@ -494,6 +494,9 @@ def _read_strength(value: Any, what: str) -> Any:
 def _on_system(H: Any, system: Any, owner: str) -> Any:
     """Return a Hamiltonian on a system; coefficients stay an array."""
     if isinstance(H, tuple):
+        held = getattr(system, "held", 0)  # numbers of sampled laws behind the coordinates
+        if len(H) == system.dim - held:
+            return np.append(H, np.zeros(held))
         if len(H) != system.dim:
             raise ValueError(
                 f"a Hamiltonian of {owner} has {len(H)} coefficients; {system.name} has dimension {system.dim}"
