@@ -147,7 +147,7 @@ class _ForceTableBuilder:
         return self._table(
             "HAMILTONIAN_NOISE",
             np.concatenate([term.values for term in terms.terms]),
-            [0.0 if term.linear else float(len(term.fractions)) for term in leaders],
+            [0.0 if term.linear else len(term.fractions) * (-1.0 if term.split else 1.0) for term in leaders],
             seed=seed,
             stream=stream,
             sets=len(terms.sets),

@@ -36,6 +36,7 @@ Floats = NDArray[np.float64]
 MAX_LEVELS = 20
 QUANTA = 2.0**20
 """Times are counted in this fraction of the shortest increment: rounded times of equal increments have equal counts."""
+MAX_SQUARES = 16  # of a quadratic function, as whose flows that of the function is composed
 COMMUTING = 64 * UNIT_ROUNDOFF  # of the products: brackets below it are those of rounding
 # Suzuki's fractions, by which a symmetric flow of order two has order four.
 _OUTER = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
@@ -43,12 +44,16 @@ FRACTIONS = (_OUTER, _OUTER, 1.0 - 4.0 * _OUTER, _OUTER, _OUTER)
 
 
 class NoiseTerm(NamedTuple):
-    """What a Brownian motion multiplies: coefficients of coordinates or of `energies`, and fractions of their rules."""
+    """What a Brownian motion multiplies: coefficients of coordinates or of `energies`, with flows at some fractions.
+
+    With `split` the flow of each energy is an exponential, and those of all are composed symmetrically.
+    """
 
     indices: NDArray[np.int64]
     values: Floats
     energies: tuple[HamiltonianLike, ...] = ()
     fractions: tuple[float, ...] = (1.0,)
+    split: bool = False
 
     @property
     def linear(self) -> bool:
@@ -61,6 +66,11 @@ class NoiseTerm(NamedTuple):
             found[self.indices] = self.values
             return found
         return np.asarray(sum(factor * H.gradient(x) for factor, H in zip(self.values, self.energies, strict=True)))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether its flow consists of exponentials, so that it is a Poisson map."""
+        return self.split or len(self.fractions) == 1
 
     def hessian(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the second derivatives at a state, of a function that is not linear."""
@@ -129,7 +139,7 @@ class OrbitNoise(Force):
 
     def preserves_poisson(self, system: Any) -> bool:
         """Whether every path is a Poisson map: the flows of all H_k are exponentials."""
-        return all(len(term.fractions) == 1 for term in self.terms(system).terms)
+        return all(term.is_exact for term in self.terms(system).terms)
 
     def ito_drift(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Return the drift that the noise has in the sense of Ito, in addition to that of Stratonovich.
@@ -221,10 +231,11 @@ class HamiltonianNoise(OrbitNoise):
     `ito_drift` returns the drift that is added in the sense of Ito.
 
     The flow of a linear H_k is an exponential, and that of a function of one linear form, or of commuting coordinates,
-    is one too; such noise is exact and a Poisson map. Those that commute are applied together. Any other H_k has the
-    midpoint rule on the orbit, by exponentials, composed to the fourth order in its increment: it preserves Casimirs,
-    and the Poisson bracket approximately. Its iteration is not truncated; a run in which it does not converge raises
-    an error that asks for a smaller step.
+    is one too. Those that commute are applied together. A quadratic H_k of up to 16 coordinates is a sum of squares of
+    linear forms, whose exponentials are composed to the fourth order in the increment. All of these are Poisson maps.
+    Any other H_k has the midpoint rule on the orbit, by exponentials, composed to the fourth order too: it preserves
+    Casimirs, and the Poisson bracket approximately. Increments are not truncated; a run in which its iteration does not
+    converge raises an error that asks for a smaller step.
 
     By a fair coin a step begins with all noise in order, or ends with all of it in reverse. This is the composition of
     Ninomiya and Victoir with the drift as one of the fields: averages have an error of second order in the step. Paths
@@ -426,6 +437,11 @@ class NoiseOnSide(NamedTuple):
 def _term_flow(system: Any, term: NoiseTerm, increment: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
     """Return the flow of a Hamiltonian over an increment, by midpoint rules on the orbit."""
     for fraction in term.fractions:
+        if term.split:
+            pieces = list(zip(term.values, term.energies, strict=True))
+            for factor, (size, H) in zip(_halves(len(pieces)), [*pieces, *pieces[-2::-1]], strict=True):
+                x = exponential(system, factor * fraction * increment * size * H.gradient(x), x)
+            continue
         found = midpoint(system, _multiple(term.direction, fraction * increment), x)
         if found.direction is None:
             raise IntegrationError(
@@ -436,6 +452,11 @@ def _term_flow(system: Any, term: NoiseTerm, increment: Any, x: NDArray[Any], t:
             )
         x = exponential(system, found.direction, x)
     return x
+
+
+def _halves(count: int) -> list[float]:
+    """Return the fractions of the flows of pieces, in their order and back."""
+    return [0.5] * (count - 1) + [1.0] + [0.5] * (count - 1)
 
 
 def _multiple(direction: Callable[..., Any], factor: Any) -> Callable[..., Any]:
@@ -541,7 +562,12 @@ def _terms_on(noise: HamiltonianNoise, system: Any) -> NoiseTerms:
             continue
         functions = tuple(as_hamiltonian(_quadratic_of(energies[k]), system.dim) for k in used)
         term = NoiseTerm(np.array(used), factors, functions)
-        terms.append(term._replace(fractions=_fractions_of(term, system)))
+        term = term._replace(fractions=_fractions_of(term, system))
+        squares = () if term.is_exact else _squares_of(term, system.dim)
+        if squares:
+            numbers = len(energies) + MAX_SQUARES * b + np.arange(len(squares))
+            term = NoiseTerm(numbers, np.ones(len(squares)), squares, FRACTIONS, split=True)
+        terms.append(term)
     return NoiseTerms(tuple(terms), _commuting_sets(terms, system))
 
 
@@ -553,13 +579,44 @@ def _quadratic_of(H: Any) -> Any:
 def _fractions_of(term: NoiseTerm, system: Any) -> tuple[float, ...]:
     """Return the fractions of the increment of midpoint rules: one if the gradient is constant along the flow."""
     for x in sample_points(system.dim):
-        gradient = term.direction(x)
-        J, hessian = system.structure_matrix(x), term.hessian(x)
-        change = hessian @ (J @ gradient)
+        try:
+            with np.errstate(all="ignore"):
+                gradient, hessian = term.direction(x), term.hessian(x)
+        except (TypeError, ArithmeticError, ValueError):  # no second derivatives, or outside its domain
+            return FRACTIONS
+        J = system.structure_matrix(x)
         size = np.abs(hessian) @ (np.abs(J) @ np.abs(gradient))
-        if np.any(np.abs(change) > COMMUTING * system.dim * size):
+        if not np.all(np.abs(hessian @ (J @ gradient)) <= COMMUTING * system.dim * size):
             return FRACTIONS
     return (1.0,)
+
+
+def _squares_of(term: NoiseTerm, n: int) -> tuple[HamiltonianLike, ...]:
+    """Return a quadratic function as squares of linear forms and a linear function; nothing for others or too many."""
+    if n > MAX_SQUARES:
+        return ()
+    M, linear = np.zeros((n, n)), np.zeros(n)
+    for factor, H in zip(term.values.tolist(), term.energies, strict=True):
+        for one in H.terms():
+            if one.form is None:
+                return ()
+            np.add.at(M, (one.form.rows, one.form.indices), factor * one.form.values)
+            linear = linear + factor * one.form.linear
+    found: list[HamiltonianLike] = []
+    least = 16 * n * UNIT_ROUNDOFF * float(np.abs(M).max())
+    while len(found) < MAX_SQUARES and np.abs(M).max() > least:
+        i, j = np.unravel_index(int(np.argmax(np.abs(M))), M.shape)
+        k = int(np.argmax(np.abs(np.diag(M))))
+        # By a coordinate, or the sum of two where their product is the largest.
+        large = abs(M[k, k]) >= 0.5 * abs(M[i, j])
+        column, pivot = (M[:, k], M[k, k]) if large else (M[:, i] + M[:, j], M[i, i] + M[j, j] + 2.0 * M[i, j])
+        square = np.multiply.outer(column, column / pivot)
+        found.append(Quadratic(0.5 * (square + square.T)).bind(n))
+        M = M - 0.5 * (square + square.T)
+        M[np.abs(M) <= least] = 0.0
+    if linear.any():
+        found.append(Quadratic(np.zeros(n), linear=linear).bind(n))
+    return tuple(found) if len(found) <= MAX_SQUARES else ()
 
 
 def _commuting_sets(terms: Sequence[NoiseTerm], system: Any) -> tuple[tuple[int, ...], ...]:

@@ -15,8 +15,8 @@ class HamiltonianNoise {
     OrbitExponential exponential;
 
     // Of the table: `extent` Brownian motions in `sets`; set s has those with the numbers direction[begin[s]] to
-    // direction[begin[s + 1] - 1], and aim[s] midpoint rules, or one exponential if that is zero. Behind the sets `begin`
-    // has a row for each Brownian motion, whose columns follow the numbers in `direction`, with coefficients in `rate`:
+    // direction[begin[s + 1] - 1], and aim[s] midpoint rules, one exponential if that is zero, or as many symmetric
+    // compositions of exponentials as its size if it is negative. Behind the sets `begin` has a row for each Brownian motion, whose columns follow the numbers in `direction`, with coefficients in `rate`:
     // of coordinates, or of the functions whose fields are at `function`. Increments are sums of 2^position.
     HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group,
                      const MemberConstants& constants)
@@ -46,7 +46,9 @@ class HamiltonianNoise {
             const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
             const int64_t first = table.direction[table.begin[set]];
             if (midpoints) {
-                if (const int64_t status = by_midpoints(x, element, t, first, midpoints)) return status;
+                const int64_t status = midpoints < 0 ? by_parts(x, element, t, first, -midpoints)
+                                                     : by_midpoints(x, element, t, first, midpoints);
+                if (status != DONE) return status;
                 continue;
             }
             std::fill_n(v.data(), n, 0.0);
@@ -141,10 +143,30 @@ class HamiltonianNoise {
         }
     }
 
+    static double fraction_of(int64_t k, int64_t count) { return count == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER; }
+
+    // Functions whose gradients are constant along their flows: these in their order and back, at fractions of the
+    // increment.
+    int64_t by_parts(double* x, double* element, double t, int64_t b, int64_t count) {
+        const int64_t parts = rows[b + 1] - rows[b];
+        for (int64_t k = 0; k < count; ++k)
+            for (int64_t p = 0; p < 2 * parts - 1; ++p) {
+                const int64_t q = rows[b] + (p < parts ? p : 2 * parts - 2 - p);
+                const double size = (p == parts - 1 ? 1.0 : 0.5) * fraction_of(k, count) * sums[b] * table.rate[q];
+                const Field& field = *fields[columns[q]];
+                InterruptCheck::of_this_call().after(work_of(field));
+                gradient(field, MemberConstants{1, 0}, x, t, v.data(), *workspaces[columns[q]]);
+                for (int64_t i = 0; i < n; ++i) v[i] *= size;
+                if (!exponential(v.data(), 1.0, x, x)) return exponential.failed(v.data());
+                if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
+            }
+        return DONE;
+    }
+
     // Midpoint rules over fractions of the increment: one, which is exact, or those of Suzuki, of order four.
     int64_t by_midpoints(double* x, double* element, double t, int64_t b, int64_t midpoints) {
         for (int64_t k = 0; k < midpoints; ++k) {
-            const double fraction = midpoints == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER;
+            const double fraction = fraction_of(k, midpoints);
             const int64_t status = exponential.midpoint(x, v.data(), middle.data(), [&](const double* y, double* to) {
                 std::fill_n(to, n, 0.0);
                 for (int64_t q = rows[b]; q < rows[b + 1]; ++q) {
