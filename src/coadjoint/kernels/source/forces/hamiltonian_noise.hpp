@@ -15,13 +15,15 @@ class HamiltonianNoise {
     OrbitExponential exponential;
 
     // Of the table: `extent` Brownian motions in `sets`; set s has those with the numbers direction[begin[s]] to
-    // direction[begin[s + 1] - 1], and aim[s] midpoint rules, one exponential if that is zero, or as many symmetric
-    // compositions of exponentials as its size if it is negative. Behind the sets `begin` has a row for each Brownian motion, whose columns follow the numbers in `direction`, with coefficients in `rate`:
-    // of coordinates, or of the functions whose fields are at `function`. Increments are sums of 2^position.
+    // direction[begin[s + 1] - 1]. aim[s] is zero for one exponential, a number of midpoint rules, or minus a number of
+    // symmetric compositions of exponentials. Behind the sets `begin` has a row for each Brownian motion, whose columns
+    // follow the numbers in `direction`, with coefficients in `rate`: of coordinates, or of the functions whose fields
+    // are at `function`. Increments are sums of 2^position.
     HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group,
                      const MemberConstants& constants)
-        : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size), rows(table.begin + table.sets + 1),
-          columns(table.direction + table.extent), v(n), middle(n), slope(n), drawn(table.extent + 1), steps(KEPT) {
+        : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size),
+          rows(table.begin + table.sets + 1), columns(table.direction + table.extent), v(n), middle(n), slope(n),
+          drawn(table.extent + 1), steps(KEPT) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
             for (int64_t b = table.direction[table.begin[set]], q = rows[b]; table.aim[set] != 0.0 && q < rows[b + 1]; ++q)
