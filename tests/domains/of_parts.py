@@ -224,6 +224,11 @@ OF_FORCES = {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
     },
+    "TransportNoise": {
+        "degrees": Domain(((1, 2), [1, 3]), ((1, 1), (0, 1), (1.5, 2), (), "1", 1j, math.nan)),
+        "strength": not_negative(),
+        "spectrum": Domain((None, (1.0, 2.0), [0, 1]), ((1.0,), (-1.0, 2.0), (0, 0), 1.0, "1", (math.nan, 1.0))),
+    },
     "Torque": {
         "torque": vector((0.5, -1.0, 0.0), real(), lambda t: np.array([0.0, 0.0, t])).plus(
             outside=(of_nothing, flow, np.eye(3), lambda t: t)
@@ -324,7 +329,7 @@ ON_BODIES = {
 }
 OF_FORCES |= ON_BODIES
 SATELLITE = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3), gyros=[[(1, 0, 0), (0, 1, 0)]])
-ON_FLUIDS = {"BetaPlane", "RandomForcing", "Viscosity"}
+ON_FLUIDS = {"BetaPlane", "RandomForcing", "TransportNoise", "Viscosity"}
 TARGETS = {"Friction": SCALAR} | dict.fromkeys(ON_BODIES, SATELLITE)
 FORCES = {
     name: case_of(getattr(co.forces, name), SHARED, **OF_FORCES.get(name, {}),

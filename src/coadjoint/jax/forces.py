@@ -19,7 +19,8 @@ from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
 from coadjoint.methods.forced import Forced, halves_of_step, substeps_of
 from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise
-from coadjoint.systems.forces.hamiltonian_noise import QUANTA, NoiseTerms
+from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
+from coadjoint.systems.forces.matrix_noise import QUANTA
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 
@@ -171,7 +172,7 @@ class ForceReaders:
     def mode_rates(self, *_: Any) -> Flow:
         raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
 
-    mode_noise = mode_rates
+    mode_noise = on_matrix_orbit = matrix_noise = mode_transport = mode_rates
 
     def kicks(self, kicks: Kicks, seed: int, stream: int) -> Flow:
         """Return additive noise, exact."""

@@ -430,7 +430,7 @@ def test_refusals():
         ((np.eye(3), (0.1, 0.2)), ("strength", "(2,)", "3")),
         ((np.eye(3), np.ones((2, 2))), ("strength", "(2, 2)", "3")),
         (([[1.0, np.nan, 0.0]],), ("hamiltonians", "nan")),
-        ((np.ones((2, 2, 2)),), ("hamiltonians", "(2, 2)")),
+        ((np.ones((2, 2, 3)),), ("hamiltonians", "(2, 3)")),
         ((np.eye(3), np.inf), ("strength", "inf")),
     ):
         with refused(ValueError, *named_values):

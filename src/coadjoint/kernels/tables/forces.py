@@ -21,6 +21,7 @@ from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.steps import (
     INNER_LOOP_INDEX,
     STEP_LOOP,
+    blas_address,
     inner_loop_integers,
     named_step_tables,
     stream_tables,
@@ -32,6 +33,7 @@ from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
 from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
+from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows
 from coadjoint.systems.system_stacks import SystemStack, different
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
@@ -182,6 +184,51 @@ class _ForceTableBuilder:
         flat = np.concatenate(amplitudes)
         return self._on_modes("MODE_NOISE", modes, layer, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
 
+    def on_matrix_orbit(self, system: Any, factor: float, noise: Noise | None) -> ForceTable:
+        integers, numbers, self.keepalive = stream_tables(system)
+        blocks = [block for _, block, _ in system.algebra.parts]
+        table = ForceTable(
+            codes("ForceKind")["ON_MATRIX_ORBIT"],
+            *self._work_integrals,
+            int(system.complex),
+            np.array([factor, *map(adjoint_casimir, blocks)]),
+            np.array(numbers, dtype=np.float64),
+            np.array([_product_of(system)], dtype=np.int64),
+            begin=np.array(integers, dtype=np.int64),
+            direction=blocks_of_rows(system.algebra),
+            position=acting_layers(system),
+            turning=np.array([float(block.complex) for block in blocks]),
+        )
+        if noise is None:
+            return table
+        return table._replace(amplitude=noise.amplitude, seed=noise.seed, stream=noise.stream)
+
+    def matrix_noise(
+        self, system: Any, elements: NDArray[Any], commuting: bool, seed: int, stream: int, levels: int
+    ) -> ForceTable:
+        return ForceTable(
+            codes("ForceKind")["MATRIX_NOISE"],
+            *self._work_integrals,
+            int(system.complex),
+            NO_NUMBERS,
+            NO_NUMBERS,
+            np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64),
+            amplitude=float(commuting),
+            seed=seed,
+            stream=stream,
+            sets=len(elements),
+            direction=np.array([elements.ndim - 2], dtype=np.int64),
+            extent=system.algebra.N,
+            basis=np.ascontiguousarray(elements).view(np.float64).ravel(),
+        )
+
+    def mode_transport(
+        self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
+    ) -> ForceTable:
+        function = np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64)
+        table = self._on_modes("MODE_TRANSPORT", modes, 0, numbers, np.concatenate(amplitudes), NO_NUMBERS)
+        return table._replace(function=function, seed=seed, stream=stream)
+
     def _on_modes(
         self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any
     ) -> ForceTable:
@@ -204,6 +251,11 @@ class _ForceTableBuilder:
         self.called = function
         if self._compiles:
             self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
+
+
+def _product_of(system: Any) -> int:
+    """Return the address of the product of the matrices of a system."""
+    return blas_address("zgemm" if system.complex else "dgemm")
 
 
 def compiled_force_function(

@@ -26,6 +26,7 @@ from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled
 from .torque import Torque as Torque
+from .transport_noise import TransportNoise as TransportNoise
 from .wheel_friction import WheelFriction as WheelFriction
 
 __all__: list[str]

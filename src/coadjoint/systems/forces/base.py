@@ -80,6 +80,19 @@ class ForceReader(Protocol):
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
+    def on_matrix_orbit(self, system: Any, factor: float, noise: Noise | None) -> Any:
+        """Register X' = factor [dual of [Y, X], X] with the stream Y, and noise in all directions of the algebra."""
+
+    def matrix_noise(
+        self, system: Any, elements: NDArray[Any], commuting: bool, seed: int, stream: int, levels: int
+    ) -> Any:
+        """Register X' = [sum of elements times white noise, X], on one side of each step."""
+
+    def mode_transport(
+        self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
+    ) -> Any:
+        """Register the same for modes with white noise of given amplitudes; lists over diagonals."""
+
 
 class Force(Abstract):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.

@@ -19,7 +19,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import KINDS, coordinate_names
-from coadjoint.systems.forces.base import Force, ForceReader, normal_deviates, read_seed
+from coadjoint.systems.forces.base import Force, ForceReader, read_seed, read_state
+from coadjoint.systems.forces.matrix_noise import MatrixNoise, brownian_increments, of_elements
 from coadjoint.systems.forces.orbit_flow import (
     Exponential,
     bracket_of,
@@ -29,13 +30,18 @@ from coadjoint.systems.forces.orbit_flow import (
 )
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer
+from coadjoint.systems.matrices.conjugation import (
+    acting_layers,
+    check_conjugated,
+    conjugated,
+    conjugation_tangent,
+    with_layers,
+)
+from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, to_array
 
 Floats = NDArray[np.float64]
 
 MAX_LEVELS = 20
-QUANTA = 2.0**20
-"""Times are counted in this fraction of the shortest increment: rounded times of equal increments have equal counts."""
 MAX_SQUARES = 16  # of a quadratic function, as whose flows that of the function is composed
 COMMUTING = 64 * UNIT_ROUNDOFF  # of the products: brackets below it are those of rounding
 # Suzuki's fractions, by which a symmetric flow of order two has order four.
@@ -127,34 +133,43 @@ class OrbitNoise(Force):
     def check(self, system: Any) -> None:
         name = type(self).__name__
         if system.has_matrices:
-            raise TypeError(f"{name} acts on states that are vectors, and those of {system.name} are matrices")
+            check_conjugated(system, name)
+            self.on_matrices(system)
+            return
         if not system.has_structure_constants:
             raise ValueError(
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not have"
             )
         self.terms(system)
 
+    def on_matrices(self, system: Any) -> MatrixNoise:
+        """Return the noise on a system of matrices."""
+        raise TypeError(
+            f"{type(self).__name__} acts on states that are vectors, and those of {system.name} are matrices"
+        )
+
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError(f"{type(self).__name__} is a noise, which has no field; its mean part is ito_drift")
 
     def preserves_poisson(self, system: Any) -> bool:
         """Whether every path is a Poisson map: the flows of all H_k are exponentials."""
-        return all(term.is_exact for term in self.terms(system).terms)
+        return system.has_matrices or all(term.is_exact for term in self.terms(system).terms)
 
     def ito_drift(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Return the drift that the noise has in the sense of Ito, in addition to that of Stratonovich.
 
         Parameters
         ----------
-        system : LiePoissonSystem
+        system : LiePoissonSystem or MatrixSystem
             The system, with or without forces.
         x : (n,) array_like
-            The state.
+            The state; of matrices also (N, N).
 
         Returns
         -------
-        (n,) array
-            ``1/2 sum_b D f_b(x) f_b(x)`` for the fields ``f_b = sign J(x) grad G_b`` of the Brownian motions.
+        array
+            ``1/2 sum_b D f_b(x) f_b(x)`` for the fields ``f_b = sign J(x) grad G_b`` of the Brownian motions, in the
+            form of x; ``1/2 sum_k [A_k, [A_k, W]]`` for matrices.
 
         Examples
         --------
@@ -166,6 +181,9 @@ class OrbitNoise(Force):
         """
         plain = system.unforced
         self.check(plain)
+        if plain.has_matrices:
+            drift = self.on_matrices(plain).ito_drift(plain, plain.matrices(x))
+            return np.asarray(plain.to_vector(drift) if plain.is_in_numbers(x) else drift)
         y = np.asarray(plain._vector(x), dtype=np.float64)
         J, total = plain.structure_matrix(y), np.zeros(plain.dim)
         for term in self.terms(plain).terms:
@@ -178,15 +196,8 @@ class OrbitNoise(Force):
 
     def increments(self, count: int, t: float, tau: float) -> tuple[Floats, bool]:
         """Return the increments of the Brownian motions of the first member in a step, and the coin: noise first."""
-        parts = 2**self.levels
-        length, total, first = float(tau) / parts, np.zeros(count), False
-        quantum = length / QUANTA
-        for k in range(parts):
-            number = float(np.floor((t + k * length) / quantum + 0.5))
-            drawn = normal_deviates(self.seed, self.stream, number, 0, count + 1)
-            total += drawn[:count]
-            first = first if k else bool(drawn[count] < 0.0)
-        return np.sqrt(length) * total, first
+        found = brownian_increments(self, count, float(t), float(tau))
+        return found.sums, found.before
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         """Return the noise of a time tau, in its order or in reverse, by a fair coin."""
@@ -194,9 +205,20 @@ class OrbitNoise(Force):
         return self._apply(system, x, t, tau, 1)
 
     def _apply(self, system: Any, x: NDArray[Any], t: Any, tau: Any, side: int) -> NDArray[Any]:
+        if system.has_matrices:
+            X = system.matrices(x)
+            for U in self._unitaries(system, t, tau, side):
+                X = conjugated(system, U, X)
+            return np.asarray(system.to_vector(X))
         for term, given in self._flows(system, t, tau, side):
             x = exponential(system, given, x) if term is None else _term_flow(system, term, given, x, t)
         return x
+
+    def _unitaries(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[NDArray[Any]]:
+        """Yield what conjugates matrices on a side of a step."""
+        if tau < 0.0:
+            raise ValueError(f"{type(self).__name__} is a noise, which does not run backward")
+        yield from self.on_matrices(system).unitaries(system, self, float(t), float(tau), side)
 
     def _flows(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[tuple[NoiseTerm | None, Any]]:
         """Yield the flows of a side of a step: all noise, or none."""
@@ -243,6 +265,11 @@ class HamiltonianNoise(OrbitNoise):
     motion and step; halves of the noise on both sides would have up to half of the error, at twice the cost. The noise
     acts around the whole step of schemes of higher order too, which keep their order as the strength goes to zero.
 
+    On skew-Hermitian matrices, as of fluids, it is ``dW = [P dt + sum_k A_k o dB_k, W]``, of ``H_k = <A_k, W>`` in
+    units and with the sign of the energy. A step has two exponentials for any number of matrices, or one if they
+    commute: with the increments B and an independent copy D of them, ``exp(Z_1) exp(Z_2)`` with
+    ``Z = sum_k (B_k/2 +- D_k/sqrt(2)) A_k`` has weak order two. `TransportNoise` has the modes of a fluid.
+
     The noise is a function of the seed, the number of the member and the time only, as that of `HeatBath`: it does not
     depend on threads, other members, or interruptions. Runs backward in time raise an error. With ``attitude=`` the
     group element moves by the same exponentials, so that the momentum in space is constant.
@@ -251,7 +278,8 @@ class HamiltonianNoise(OrbitNoise):
     ----------
     hamiltonians : sequence
         H_1, ..., H_d, each a vector of coefficients (n,) of a linear function, a formula in the coordinates of the
-        system, or a Polynomial or another Hamiltonian; or a single one. They do not depend on time.
+        system, or a Polynomial or another Hamiltonian; or a single one. They do not depend on time. On systems of
+        matrices each is a matrix A of the algebra, (N, N), which is added to the stream, or a pair for two fields.
     strength : float, (d,) or (d, m) array_like
         Factors of H_k: one for all, or one each; in units of energy per unit of H_k, times the square root of a time.
         A matrix makes correlated noise, ``sum_k strength[k, b] H_k`` for each of m Brownian motions b.
@@ -322,6 +350,15 @@ class HamiltonianNoise(OrbitNoise):
 
     def terms(self, system: Any) -> NoiseTerms:
         return _terms_on(self, system)
+
+    def on_matrices(self, system: Any) -> MatrixNoise:
+        return of_elements(system, _elements_on(self, system))
+
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        if not system.has_matrices:
+            return super().describe_to(reader, system)
+        elements, noise = _elements_on(self, system), self.on_matrices(system)
+        return reader.matrix_noise(system, elements, noise.commuting, self.seed, self.stream, self.levels)
 
 
 @suggest_keywords
@@ -414,6 +451,10 @@ class NoiseOnSide(NamedTuple):
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Floats | None:
         product, y = np.eye(len(x)), x
+        if system.has_matrices:
+            for U in self.noise._unitaries(system, t, tau, self.side):
+                product = conjugation_tangent(system, U) @ product
+            return product
         for term, v in self.noise._flows(system, t, tau, self.side):
             if term is not None:
                 return None
@@ -425,6 +466,8 @@ class NoiseOnSide(NamedTuple):
         return self.noise.scalings()
 
     def orbit_steps(self, system: Any, x: Floats, t: float, tau: float) -> Sequence[Any]:
+        if system.has_matrices:
+            return ()
         steps: list[Exponential] = []
         bracket = bracket_of(system.algebra, system.sign)
         for term, v in self.noise._flows(system, t, tau, self.side):
@@ -466,6 +509,8 @@ def _multiple(direction: Callable[..., Any], factor: Any) -> Callable[..., Any]:
 def _read_hamiltonians(value: Any, what: str) -> tuple[Any, ...]:
     """Validate one or several Hamiltonians: coefficients as tuples, formulas, and objects."""
     one = isinstance(value, str | Polynomial) or hasattr(value, "gradient") or callable(value)
+    if isinstance(value, Mapping) and value.keys() == {"real", "imaginary"}:  # the form of matrices in records
+        value = read_finite(value["real"], what) + 1j * read_finite(value["imaginary"], what)
     if not one:
         try:
             entries = list(value)
@@ -488,10 +533,14 @@ def _read_one(value: Any, what: str) -> Any:
         if isinstance(value, type):
             raise TypeError(f"{what} is the class {value.__name__}; give a vector, a formula or a Hamiltonian")
         return value
-    array = read_finite(value, what)
-    if array.ndim != 1 or not array.size:
-        raise ValueError(f"{what} has the shape {array.shape}; coefficients of a linear function have the shape (n,)")
-    return as_tuples(array)
+    array = to_array(value, what, "iufc")
+    square = array.ndim in (2, 3) and array.shape[-1] == array.shape[-2]
+    if not array.size or not (array.ndim == 1 or square):
+        raise ValueError(
+            f"{what} has the shape {array.shape}; coefficients of a linear function have the shape (n,), and matrices "
+            "(N, N)"
+        )
+    return read_state(array, what) if square else as_tuples(read_finite(value, what))
 
 
 def _plain_hamiltonian(H: Any) -> Any:
@@ -515,6 +564,10 @@ def _read_strength(value: Any, what: str) -> Any:
 def _on_system(H: Any, system: Any, owner: str) -> Any:
     """Return a Hamiltonian on a system; coefficients stay an array."""
     if isinstance(H, tuple):
+        if np.ndim(H) != 1:
+            raise ValueError(
+                f"a Hamiltonian of {owner} is a matrix; on {system.name} give coefficients ({system.dim},)"
+            )
         held = getattr(system, "held", 0)  # numbers of sampled laws behind the coordinates
         if len(H) == system.dim - held:
             return np.append(H, np.zeros(held))
@@ -542,6 +595,30 @@ def _linear_part(H: Any, n: int) -> Floats | None:
             return None
         total = total + term.form.linear
     return total
+
+
+@lru_cache(maxsize=16)
+def _elements_on(noise: HamiltonianNoise, system: Any) -> NDArray[Any]:
+    """Return the elements that the Brownian motions multiply on a system of matrices, (m, N, N) or (m, 2, N, N)."""
+    owner, algebra, layers, elements = type(noise).__name__, system.algebra, acting_layers(system), []
+    for k, H in enumerate(noise.hamiltonians):
+        what = f"hamiltonians[{k}] of {owner}"
+        if not isinstance(H, tuple):
+            raise TypeError(f"{what} is {short(H)}; on the matrices of {system.name} give a matrix A, for <A, W>")
+        parts = np.array(H)
+        if parts.ndim not in (2, layers + 1) or (parts.ndim == 3 and len(parts) != 2):
+            shapes = " or ".join(map(str, (algebra.shape, (2, *algebra.shape))[:layers]))
+            raise ValueError(
+                f"{what} has the shape {parts.shape}; on {system.name} give matrices of the shape {shapes}"
+            )
+        elements.append(np.stack([algebra.read(part, what) for part in parts.reshape(-1, *parts.shape[-2:])]))
+    if any(len(one) > 1 for one in elements):
+        elements = [with_layers(system, one[0]) if len(one) == 1 else one for one in elements]
+    else:
+        elements = [one[0] for one in elements]
+    strength = np.asarray(noise.strength, dtype=np.float64)
+    columns = np.diag(np.broadcast_to(strength, len(elements))) if strength.ndim < 2 else strength
+    return np.asarray(np.tensordot(columns.T, np.array(elements), axes=1))
 
 
 @lru_cache(maxsize=64)

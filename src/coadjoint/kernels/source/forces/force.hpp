@@ -5,6 +5,7 @@
 
 #include "field/field.hpp"
 #include "forces/hamiltonian_noise.hpp"
+#include "forces/matrix_force.hpp"
 #include "forces/mode_force.hpp"
 #include "forces/orbit_exponential.hpp"
 #include "forces/random.hpp"
@@ -23,7 +24,7 @@ class Force {
     Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
         : table(table), field(field), constants(constants), n(field.size), workspace(field), exponent(field, group, constants),
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
-          three(n), four(n), five(n), six(n) {
+          three(n), four(n), five(n), six(n), matrix(matrix_force(table)) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
@@ -33,10 +34,12 @@ class Force {
     }
 
     // Whether it acts before (side 0) or after (side 1) a whole step, and not in substeps.
-    bool around_steps() const { return noise != nullptr; }
+    bool around_steps() const { return noise || (matrix && matrix->around_steps()); }
 
     // Whether it acts on this side of the step from t of length h.
-    bool acts(double t, double h, int64_t member, int64_t side) { return noise->acts(t, h, member, side); }
+    bool acts(double t, double h, int64_t member, int64_t side) {
+        return noise ? noise->acts(t, h, member, side) : matrix->acts(t, h, member, side);
+    }
 
     // Apply the flow to x from time t for the time tau, negative for backward; return a status. A flow around a step also
     // moves the group element, if there is one.
@@ -53,6 +56,9 @@ class Force {
             case KICKS: return kick(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
+            case ON_MATRIX_ORBIT:
+            case MATRIX_NOISE:
+            case MODE_TRANSPORT: return move_matrix(x, t, tau, member);
         }
         return given_flow(x, t, tau, member);
     }
@@ -72,6 +78,7 @@ class Force {
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
     std::unique_ptr<HamiltonianNoise> noise;
+    const std::unique_ptr<MatrixForce> matrix;
 
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
@@ -259,6 +266,15 @@ class Force {
         iterations = spins->iterations;
         residual = spins->residual;
         return status;
+    }
+
+    int64_t move_matrix(double* x, double t, double tau, int64_t member) {
+        matrix->iterations = matrix->evaluations = 0;
+        const int64_t status = matrix->flow(x, t, tau, member);
+        evaluations = matrix->evaluations;
+        iterations = matrix->iterations;
+        residual = matrix->residual;
+        return status != DONE || finite(n, x) ? status : int64_t(OVERFLOWED);
     }
 
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact

@@ -3,8 +3,8 @@
 
 #include <memory>
 
+#include "forces/increments.hpp"
 #include "forces/orbit_exponential.hpp"
-#include "forces/random.hpp"
 #include "forces/spin_rows.hpp"
 #include "numbers/arithmetic.hpp"
 
@@ -23,7 +23,7 @@ class HamiltonianNoise {
                      const MemberConstants& constants)
         : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size),
           rows(table.begin + table.sets + 1), columns(table.direction + table.extent), v(n), middle(n), slope(n),
-          drawn(table.extent + 1), steps(KEPT) {
+          increments(table, table.position, table.extent, 0) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
             for (int64_t b = table.direction[table.begin[set]], q = rows[b]; table.aim[set] != 0.0 && q < rows[b + 1]; ++q)
@@ -36,14 +36,16 @@ class HamiltonianNoise {
     }
 
     // Whether the noise of a step from t of length h acts before it (side 0) or after it (1), by a fair coin.
-    bool acts(double t, double h, int64_t member, int64_t side) { return drawn_for(t, h, member).first == (side == 0); }
+    bool acts(double t, double h, int64_t member, int64_t side) {
+        return increments.of(t, h, member).first == (side == 0);
+    }
 
     // The noise of a step on the side on which it acts: in order before it, and in reversed order after it. A group
     // element moves with the state.
     int64_t flow(double* x, double* element, double t, double h, int64_t member, int64_t side) {
         exponential.iterations = exponential.evaluations = 0;
         exponential.residual = std::numeric_limits<double>::quiet_NaN();
-        sums = drawn_for(t, h, member).sums.data();
+        sums = increments.of(t, h, member).sums.data();
         for (int64_t k = 0; k < table.sets; ++k) {
             const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
             const int64_t first = table.direction[table.begin[set]];
@@ -74,41 +76,11 @@ class HamiltonianNoise {
     Spins spins;
     bool of_spins = false;  // whether the algebra is a sum of so(3), where exponentials are rotations
     const int64_t *rows, *columns;
-    std::vector<double> v, middle, slope, drawn;
+    std::vector<double> v, middle, slope;
+    BrownianIncrements increments;
     const double* sums = nullptr;  // increments of the step
     std::vector<const Field*> fields;
     std::vector<std::unique_ptr<FieldWorkspace<double>>> workspaces;
-
-    // The increments of a step, and whether the noise is first.
-    struct Drawn {
-        double t, h;
-        int64_t member = -1;
-        bool first = false;
-        std::vector<double> sums;
-    };
-    static constexpr int64_t KEPT = 64;  // steps of members that are taken together
-    std::vector<Drawn> steps;
-
-    // Increments of equal lengths are the same in steps of other lengths: their number is that of the time in small
-    // quanta, in which rounded times agree.
-    const Drawn& drawn_for(double t, double h, int64_t member) {
-        Drawn& step = steps[member % KEPT];
-        if (step.member == member && step.t == t && step.h == h) return step;
-        const int64_t parts = int64_t(1) << table.position, count = table.extent;
-        const double length = h / double(parts), quantum = length / QUANTA;
-        step.t = t, step.h = h, step.member = member;
-        step.sums.assign(count, 0.0);
-        InterruptCheck::of_this_call().after(64 * parts * count);
-        for (int64_t k = 0; k < parts; ++k) {
-            const double number = std::floor((t + double(k) * length) / quantum + 0.5);
-            DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), number, 0).draw(0, count + 1, drawn.data());
-            for (int64_t b = 0; b < count; ++b) step.sums[b] += drawn[b];
-            if (k == 0) step.first = drawn[count] < 0.0;
-        }
-        const double size = std::sqrt(length);
-        for (int64_t b = 0; b < count; ++b) step.sums[b] *= size;
-        return step;
-    }
 
     // Set x to exp(D_v) x, where D_v x = turn x cross v for each spin: a rotation of x in closed form.
     void rotate_spins(double* x) const {
@@ -185,7 +157,6 @@ class HamiltonianNoise {
         return DONE;
     }
 
-    static constexpr double QUANTA = 0x1p20;
     static constexpr double OUTER = 0.41449077179437573714;  // 1/(4 - 4^(1/3))
 };
 
