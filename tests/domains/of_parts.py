@@ -197,18 +197,37 @@ OWN_SYSTEMS = {
     }),
 }  # fmt: skip
 
+STRENGTHS = (math.nan, math.inf, None, "1", "", 1j, {}, [], np.ones((3, 3, 3)))
 OF_FORCES = {
     "BetaPlane": {"beta": real()},
     "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
+    "HamiltonianNoise": {
+        "hamiltonians": structured(
+            (np.eye(3), ["x1", "x2^2/2"], "x3", SQUARE, (0.5, 0, -1.0)),
+            (np.eye(4), ["x4"], np.ones((1, 3, 3)), [[1.0, math.nan, 0.0]], of_nothing),
+            "hamiltonians|Hamiltonian",
+        ),
+        "strength": Domain((0.5, 0, -1.0, (0.5, 0.0, 1.0), FULL), (*STRENGTHS, (1.0, 2.0))),
+        "levels": whole(0, 20, tried=2),
+    },
     "HeatBath": {"temperature": not_negative()},
     "LinearDamping": {
         "rate": vector((0.5, -1.0, 0.0), real(), 0.5, 0, np.eye(3), SKEWED, number=True).plus(outside=NOT_ONE_MATRIX),
         "toward": vector((0.5, -1.0, 0.0), real(), 0.5, number=True),
     },
     "OwnForce": {"function": instance(flow).plus(outside=(of_nothing, of_time)), "name": title("wind")},
+    "RandomField": {
+        "strength": Domain((0.5, 0, (0.5, 0.0, 1.0)), (*STRENGTHS, (1.0, 2.0), FULL)),
+        "levels": whole(0, 20, tried=2),
+    },
     "RandomForcing": {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
+    },
+    "TransportNoise": {
+        "degrees": Domain(((1, 2), [1, 3]), ((1, 1), (0, 1), (1.5, 2), (), "1", 1j, math.nan)),
+        "strength": not_negative(),
+        "spectrum": Domain((None, (1.0, 2.0), [0, 1]), ((1.0,), (-1.0, 2.0), (0, 0), 1.0, "1", (math.nan, 1.0))),
     },
     "Torque": {
         "torque": vector((0.5, -1.0, 0.0), real(), lambda t: np.array([0.0, 0.0, t])).plus(
@@ -285,6 +304,10 @@ ON_BODIES = {
     },
     "SolarPressure": {"pressure": real(), "sun": IN_SPACE, **PLATES, "specular": SHARES, "diffuse": SHARES},
     "Drag": {"density": real(), "velocity": IN_SPACE, **PLATES, "coefficient": real()},
+    "RandomTorque": {
+        "strength": Domain((0.5, 0, (0.5, 0.0, 1.0), FULL), (*STRENGTHS, (1.0, 2.0))),
+        "axes": choice("body", "space"),
+    },
     "Pointing": {
         "stiffness": GAINS,
         "damping": GAINS,
@@ -306,7 +329,7 @@ ON_BODIES = {
 }
 OF_FORCES |= ON_BODIES
 SATELLITE = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3), gyros=[[(1, 0, 0), (0, 1, 0)]])
-ON_FLUIDS = {"BetaPlane", "RandomForcing", "Viscosity"}
+ON_FLUIDS = {"BetaPlane", "RandomForcing", "TransportNoise", "Viscosity"}
 TARGETS = {"Friction": SCALAR} | dict.fromkeys(ON_BODIES, SATELLITE)
 FORCES = {
     name: case_of(getattr(co.forces, name), SHARED, **OF_FORCES.get(name, {}),

@@ -167,6 +167,7 @@ FORCES = (
     {"name": "BetaPlane", "beta": 0.1},
     {"name": "Friction", "rate": 0.1},
     {"name": "RandomForcing", "energy_rate": 0.1, "band": [1, 2], "seed": 1},
+    {"name": "TransportNoise", "degrees": [1, 2], "strength": 0.1, "seed": 1},
 )
 BASE = {"base": co.Splitting()}
 LEAST = {"Composition": {**BASE, "coefficients": (1.0,)}, "Projected": {"base": co.GaussLegendre(1)}}

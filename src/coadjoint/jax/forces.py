@@ -17,8 +17,11 @@ from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField
 from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
-from coadjoint.methods.forced import Forced, substeps_of
+from coadjoint.methods.forced import Forced, halves_of_step, substeps_of
 from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise
+from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
+from coadjoint.systems.forces.matrix_noise import QUANTA
+from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 
 Flow = Callable[[Any, Any, Any, Any, Any], Any]
@@ -29,7 +32,7 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     """Return steps between half flows of forces, as `methods.Forced`; constants: the scheme's, then coefficients."""
     plain = system.unforced
     readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
-    flows: list[Flow] = [
+    flows: list[Flow | tuple[Flow, Flow]] = [
         force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)
     ]
 
@@ -37,22 +40,31 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
         own, energy = constants
 
         def substep(state: Any, at: Any) -> Any:
-            (x, attitude), (begin, length) = state, at
-            half = 0.5 * length
-            for flow in flows:
-                x = flow(energy, x, begin, half, member)
+            (x, attitude), (begin, length, halves) = state, at
+            for j, time, duration in halves[0]:
+                x = _on_side(flows[j], 0)(energy, x, time, duration, member)
             x, attitude = inner.whole(own, (x, attitude), begin, length, member)
-            for flow in reversed(flows):
-                x = flow(energy, x, begin + half, half, member)
-            return (x, attitude), None
+            for j, time, duration in halves[1]:
+                x = _on_side(flows[j], 1)(energy, x, time, duration, member)
+            return x, attitude
+
+        if len(scheme.fractions) == 1 or any(flow.around_steps for _, flow in system.flows):
+            for at in halves_of_step(system.flows, scheme.fractions, t, h):
+                state = substep(state, at)
+            return state
+
+        def scanned(state: Any, at: Any) -> Any:
+            return substep(state, next(halves_of_step(system.flows, (1.0,), *at))), None
 
         each = substeps_of(scheme.fractions, t, h)
-        if len(each) == 1:
-            return substep(state, each[0])[0]
-        return lax.scan(substep, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
+        return lax.scan(scanned, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
     functions = *inner.functions, *(one for reader in readers for one in reader.functions)
     return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step, functions=functions)
+
+
+def _on_side(flow: Flow | tuple[Flow, Flow], side: int) -> Flow:
+    return flow[side] if isinstance(flow, tuple) else flow
 
 
 class ForceReaders:
@@ -160,7 +172,43 @@ class ForceReaders:
     def mode_rates(self, *_: Any) -> Flow:
         raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
 
-    mode_noise = mode_rates
+    mode_noise = on_matrix_orbit = matrix_noise = mode_transport = mode_rates
+
+    def kicks(self, kicks: Kicks, seed: int, stream: int) -> Flow:
+        """Return additive noise, exact."""
+
+        def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            drawn = jnp.sqrt(tau) * normal_deviates(seed, stream + member, t, 0, kicks.motions)
+            values = jnp.where(kicks.state < 0, 1.0, x[kicks.state])
+            return x.at[kicks.changed].add(kicks.factor * values * drawn[kicks.number])
+
+        return flow
+
+    def hamiltonian_noise(self, terms: NoiseTerms, seed: int, stream: int, levels: int) -> tuple[Flow, Flow]:
+        """Return the noise of a step on each side of it: all or none."""
+        if not all(term.linear for term in terms.terms):
+            raise TypeError(f"JAX takes noise of linear Hamiltonians, and {self.what} is of others; run it without JAX")
+        count, n, parts = len(terms.terms), self.system.dim, 2**levels
+        rows, sets = np.zeros((count, n)), np.zeros((len(terms.sets), count))
+        for b, term in enumerate(terms.terms):
+            rows[b, term.indices] = term.values
+        for chosen, members in zip(sets, terms.sets, strict=True):
+            chosen[list(members)] = 1.0
+
+        def flow(side: int, x: Any, t: Any, h: Any, member: Any) -> Any:
+            length = h / parts
+            numbers = jnp.floor((t + jnp.arange(parts) * length) / (length / QUANTA) + 0.5)
+            drawn = jax.vmap(lambda number: normal_deviates(seed, stream + member, number, 0, count + 1))(numbers)
+            increments = jnp.sqrt(length) * jnp.sum(drawn[:, :count], axis=0)
+
+            def one(y: Any, chosen: Any) -> Any:
+                return self.field.exponential(product((chosen * increments)[None], rows)[0], y), None
+
+            moved = lax.scan(one, x, sets[::-1] if side else sets)[0]
+            return jnp.where((drawn[0, count] < 0.0) == (side == 0), moved, x)
+
+        first, second = (lambda _, *given, side=side: flow(side, *given) for side in range(2))
+        return first, second
 
     def on_orbit(self, metric: Any, root: Any, noise: Noise | None) -> Flow:
         """Return the midpoint rule of the damping on the orbit, between halves of the noise."""

@@ -53,6 +53,11 @@ class XlaRun:
             self._steps, self._table = self._describe_members(method, group)
         elif self._system.forces:
             forced = cast(Forced, prepared.scheme)
+            if group is not None and any(force.around_steps for force in self._system.forces):
+                raise TypeError(
+                    f"{CALLER} takes no attitude= beside noise that turns the group element too, as of "
+                    f'{self._system.name}; prepare the run without, or take backend="compiled"'
+                )
             steps, self._table = _steps_and_table(self._system.unforced, forced.inner, group)
             field = _field(self._system.unforced, self._table)
             self._steps = steps_between_forces(steps, self._system, field, forced)

@@ -8,7 +8,7 @@
 #include "matrices/compiled_transforms.hpp"
 #include "matrices/invariants.hpp"
 #include "steps/inner_step.hpp"
-#include "steps/step_scheme.hpp"
+#include "steps/member_batches.hpp"
 
 namespace coadjoint {
 
@@ -19,12 +19,12 @@ struct Substep {
     int64_t loop;
 };
 
-struct Forced final : StepScheme {
+struct Forced final : BatchScheme {
     const StepTables& tables;
     const MemberConstants constants;
     const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, tracked;
-    std::vector<std::unique_ptr<InnerStep>> inner;  // one for each length
+    std::vector<std::unique_ptr<InnerStep>> inner, batched;  // one for each length; of many members
     std::vector<Substep> substeps;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
@@ -41,8 +41,7 @@ struct Forced final : StepScheme {
           workspace(2 * tables.restored.longest + 2) {
         const int64_t *other = other_loops(tables.whole), *one = other + 1 + ADDRESSES * other[0];
         for (int64_t k = 0; k <= other[0]; ++k)
-            inner.emplace_back(new InnerStep(k ? other + 1 + ADDRESSES * (k - 1) : tables.whole, n,
-                                             tables.group.size * tables.group.size));
+            inner.emplace_back(new InnerStep(inner_loop(k), n, tables.group.size * tables.group.size));
         double elapsed = 0.0;
         for (int64_t k = 0; k < one[0]; ++k) {
             Substep substep{elapsed, 0.0, one[2 + 2 * k]};
@@ -51,7 +50,8 @@ struct Forced final : StepScheme {
             elapsed += substep.length;
         }
         for (int64_t k = 0; k < tables.whole[5]; ++k)
-            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
+            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field,
+                                          tables.group, constants));
         for (const auto& force : forces) measured = measured && force->measures() && force->table.work_integrals <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
         // substeps of other lengths.
@@ -65,6 +65,10 @@ struct Forced final : StepScheme {
 
     static const int64_t* other_loops(const int64_t* whole) { return whole + ADDRESSES + 1 + whole[ADDRESSES]; }
 
+    const int64_t* inner_loop(int64_t k) const {
+        return k ? other_loops(tables.whole) + 1 + ADDRESSES * (k - 1) : tables.whole;
+    }
+
     static const int64_t* after_substeps(const int64_t* whole) {
         const int64_t* other = other_loops(whole);
         const int64_t* one = other + 1 + ADDRESSES * other[0];
@@ -72,26 +76,79 @@ struct Forced final : StepScheme {
     }
 
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
-        for (const Substep& one : substeps)
-            if (const int64_t status = take(*inner[one.loop], x, dx, group, t + one.begin * h, one.length * h))
-                return status;
+        for (const Substep& one : substeps) {
+            const bool ends[] = {&one == &substeps.front(), &one == &substeps.back()};
+            if (const int64_t status = take(one, x, dx, group, t, h, ends)) return status;
+        }
         return DONE;
     }
 
-    int64_t take(InnerStep& inner, double* x, double* dx, double* group, double t, double h) {
-        const double half = 0.5 * h;
-        if (!evaluate(x, t)) return UNDEFINED;
-        for (auto force = forces.begin(); force != forces.end(); ++force)
-            if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
-        const int64_t status = inner.take(x, group, t, h, memory_size ? memory : nullptr);
+    // A substep of the step from t of length h, at the `ends` of which forces act that act around steps.
+    int64_t take(const Substep& one, double* x, double* dx, double* group, double t, double h, const bool* ends) {
+        InnerStep& inner = *this->inner[one.loop];
+        if (const int64_t status = move_all(one, 0, x, dx, group, t, h, ends[0])) return status;
+        const int64_t status =
+            inner.take(x, group, t + one.begin * h, one.length * h, memory_size ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;
         if (status != DONE) return status;
-        if (!evaluate(x, t + h)) return UNDEFINED;
-        for (auto force = forces.rbegin(); force != forces.rend(); ++force)
-            if (const int64_t status = move(**force, x, dx, t + half, half, t + h)) return status;
+        return move_all(one, 1, x, dx, group, t, h, ends[1]);
+    }
+
+    // Apply the flows of all forces before (side 0) or after (1) a substep; at an end of the step also those around it.
+    int64_t move_all(const Substep& one, int64_t side, double* x, double* dx, double* group, double t, double h, bool end) {
+        const double begin = t + one.begin * h, length = one.length * h, half = 0.5 * length;
+        const double frozen = side ? begin + length : begin;
+        bool evaluated = false;
+        for (size_t k = 0; k < forces.size(); ++k) {
+            Force& force = *forces[side ? forces.size() - 1 - k : k];
+            const bool around = force.around_steps();
+            if (around && !(end && force.acts(t, h, member, side))) continue;
+            if (!evaluated && !evaluate(x, frozen)) return UNDEFINED;
+            evaluated = true;
+            const int64_t status = around ? move(force, x, dx, group, t, h, frozen, side)
+                                          : move(force, x, dx, group, side ? begin + half : begin, half, frozen, side);
+            if (status != DONE) return status;
+        }
         return DONE;
+    }
+
+    bool takes_batches() const override { return !matrices && !memory_size && !tables.group.size; }
+
+    void step_batch(BatchMember* members, int64_t count, double t, double h) override {
+        if (batched.empty())
+            for (int64_t k = 0; k <= other_loops(tables.whole)[0]; ++k)
+                batched.emplace_back(new InnerStep(inner_loop(k), n, 0, MOST_MEMBERS));
+        for (int64_t b = 0; b < count; ++b) members[b].evaluations = members[b].iterations = 0;
+        const auto move_members = [&](const Substep& one, int64_t side, bool end) {
+            for (BatchMember* to = members; to < members + count; ++to) {
+                if (to->status != DONE) continue;
+                member = to->number;
+                evaluations = iterations = 0;
+                to->status = move_all(one, side, to->x, to->dx, nullptr, t, h, end);
+                to->evaluations += evaluations;
+                to->iterations += iterations;
+                to->residual = residual;
+            }
+        };
+        for (const Substep& one : substeps) {
+            move_members(one, 0, &one == &substeps.front());
+            double* states[MOST_MEMBERS];
+            int64_t status[MOST_MEMBERS], moving = 0;
+            for (int64_t b = 0; b < count; ++b)
+                if (members[b].status == DONE) states[moving++] = members[b].x;
+            InnerStep& inner = *batched[one.loop];
+            if (moving) inner.take_all(states, moving, t + one.begin * h, one.length * h, status);
+            for (int64_t b = 0, position = 0; b < count; ++b) {
+                if (members[b].status != DONE) continue;
+                members[b].status = status[position];
+                members[b].evaluations += inner.evaluations_of(position);
+                members[b].iterations += inner.iterations_of(position);
+                members[b].residual = inner.residual_of(position++);
+            }
+            move_members(one, 1, &one == &substeps.back());
+        }
     }
 
     double value(int64_t i, const double* x, double t) {
@@ -107,8 +164,9 @@ struct Forced final : StepScheme {
 
     // Apply the flow of a force, and add its changes of invariants, at the time `frozen`, to its work integrals, which are
     // stored behind the coordinates.
-    int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen) {
-        const int64_t status = force.flow(x, t, tau, member);
+    int64_t move(Force& force, double* x, double* dx, double* group, double t, double tau, double frozen,
+                 int64_t side) {
+        const int64_t status = force.flow(x, group, t, tau, member, side);
         evaluations += force.evaluations;
         iterations += force.iterations;
         residual = force.residual;

@@ -67,6 +67,29 @@ def substeps_of(fractions: Sequence[float], t: Any, h: Any) -> list[tuple[Any, A
     return [(t + begin * h, c * h) for begin, c in zip(begins, fractions, strict=False)]
 
 
+def halves_of_step(
+    flows: Sequence[tuple[int, Any]], fractions: Sequence[float], t: Any, h: Any
+) -> Iterator[tuple[Any, Any, tuple[list[tuple[int, Any, Any]], list[tuple[int, Any, Any]]]]]:
+    """Yield begin and length of each substep, and the flows before and after it: number, begin and duration."""
+    substeps = substeps_of(fractions, t, h)
+    for k, (begin, length) in enumerate(substeps):
+        ends, half = (k == 0, k == len(substeps) - 1), 0.5 * length
+        halves = [
+            [
+                (j, t, h) if flow.around_steps else (j, begin + half if side else begin, half)
+                for j, (_, flow) in enumerate(flows)
+                if ends[side] or not flow.around_steps
+            ]
+            for side in range(2)
+        ]
+        yield begin, length, (halves[0], halves[1][::-1])
+
+
+def on_side(flow: Force, side: int) -> Any:
+    """Return a flow as it acts before (0) or after (1) a substep."""
+    return flow.on_side(side) if flow.around_steps else flow
+
+
 @cache
 def _order_of_composition(fractions: tuple[float, ...]) -> int:
     """Return the order of a composition of the symmetric splitting, up to that to which flows of forces are known."""
@@ -93,14 +116,15 @@ class Forced(Wrapper):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
 
     Splittings of order 4, 6, 8 and 10, and a `Composition`, compose it at fractions of the step, some of them negative,
-    and keep their order, up to 10. Forces that do not run backward, such as noise and what is sampled or held over a
-    step, are then refused.
+    and keep their order, up to 10. Forces that do not run backward, such as heat baths and what is sampled or held over
+    a step, are then refused.
 
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
-    half flows in reverse order. Sampled laws are evaluated on the state at the start of the step, so that the first of
-    their forces is before all others. Each step of the base starts afresh, except for the initial guesses of schemes
-    for matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly
-    for `properties`, which names what is preserved and what breaks the rest.
+    half flows in reverse order. A `HamiltonianNoise` acts before or after the whole step, in its place among them.
+    Sampled laws are evaluated on the state at the start of the step, so that the first of their forces is before all
+    others. Each step of the base starts afresh, except for the initial guesses of schemes for matrices. `integrate`,
+    `prepare` and `stepper` apply it automatically if a system has forces; use it directly for `properties`, which names
+    what is preserved and what breaks the rest.
 
     Parameters
     ----------
@@ -163,7 +187,7 @@ class Forced(Wrapper):
         if len(self.fractions) == 1:
             return
         for label, force in zip(system.labels, system.forces, strict=True):
-            if not force.reversible:
+            if not (force.reversible or force.around_steps):
                 raise ValueError(
                     f"{label} does not run backward, and {self.base} takes steps backward in time, as every scheme of "
                     f"order above two with forces; take {self.inner}"
@@ -175,12 +199,15 @@ class Forced(Wrapper):
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         self.check_backward(system)
         inner = declared_properties(self.base, system.unforced)
-        breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
-        every = list(system.labels)
-        broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
+        labelled = list(zip(system.labels, system.forces, strict=True))
+        breaking = [label for label, force in labelled if not force.casimirs]
+        moving = [label for label, force in labelled if not force.preserves_poisson(system.unforced)]
+        broken = [("Poisson map", inner.poisson, moving), ("energy", inner.energy, list(system.labels))]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
         broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
-        return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by)
+        return Properties(
+            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by
+        )
 
     def check_attitude(self, system: Any, representation: Any) -> None:
         self.base.check_attitude(system.unforced, representation)
@@ -221,11 +248,11 @@ class Forced(Wrapper):
 
     def parts_of_step(self, system: Any, t: Any, h: Any) -> Iterator[tuple[int | None, Any, Any, Any]]:
         """Yield the position of a force (None: the Hamiltonian part), its flow or scheme, when it begins, how long."""
-        for begin, length in substeps_of(self.fractions, t, h):
-            half = 0.5 * length
-            yield from ((position, flow, begin, half) for position, flow in system.flows)
+        flows = system.flows
+        for begin, length, halves in halves_of_step(flows, self.fractions, t, h):
+            yield from ((flows[j][0], on_side(flows[j][1], 0), *when) for j, *when in halves[0])
             yield None, self.inner, begin, length
-            yield from ((position, flow, begin + half, half) for position, flow in reversed(system.flows))
+            yield from ((flows[j][0], on_side(flows[j][1], 1), *when) for j, *when in halves[1])
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative: the product of those of the flows and of the base."""

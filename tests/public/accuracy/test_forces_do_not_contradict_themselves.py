@@ -77,6 +77,7 @@ def beyond_the_examples(system):
         F.Friction(lambda scale: 0.1 * scale),
         *(F.Viscosity(0.01, power, True, "carried") for power in (1, 2)),
         F.RandomForcing(0.2, (1, 3), seed=4, stream=1),
+        F.TransportNoise((1, 2), 0.4, (2.0, 1.0), seed=4, stream=1),
     ]
 
 

@@ -184,6 +184,8 @@ def test_every_force_acts_backward_or_is_refused_by_name(name):
 
 
 SPINNING, TURNING = co.systems.torus_euler(N=5), co.systems.sphere_euler(N=5)
+# Systems of matrices, with a damping by which a part of the state changes.
+MATRICES = [(SPINNING, 0.1), (TURNING, 0.5), (co.systems.matrix_body((1.0, 2.0, 3.0, 4.0)), 30.0)]
 RATES, SO4 = full(6, 7), on(co.algebras.so(4), 5)
 # The forces whose flows are written twice, in NumPy and for the kernels, each so strong that a step is a large change.
 STRONG = {
@@ -192,18 +194,23 @@ STRONG = {
         (SO4, co.forces.DoubleBracketDamping(3.0)),
         (SO4, co.forces.DoubleBracketDamping(3.0, RATES @ RATES)),
         (CHAIN, co.forces.DoubleBracketDamping(1.5)),
+        *((flow, co.forces.DoubleBracketDamping(alpha)) for flow, alpha in MATRICES),
     ],
     "HeatBath": [
         (SO4, co.forces.HeatBath(0.5, temperature=2.0, seed=3)),
         (SO4, co.forces.HeatBath(0.5, np.linspace(0.25, 1.5, 6), temperature=2.0, seed=3)),
         (SO4, co.forces.HeatBath(0.5, RATES @ RATES, temperature=2.0, seed=3)),
         (CHAIN, co.forces.HeatBath(1.5, temperature=2.0, seed=3)),
+        *((flow, co.forces.HeatBath(0.1, temperature=2.0, seed=3)) for flow, _ in MATRICES),
     ],
     "Torque": [(SO4, co.forces.Torque(np.arange(6.0)))],
     "Friction": [(flow, co.forces.Friction(2.0)) for flow in (SPINNING, TURNING)],
     "Viscosity": [(flow, co.forces.Viscosity(0.5)) for flow in (SPINNING, TURNING)],
     "BetaPlane": [(SPINNING, co.forces.BetaPlane(3.0))],
     "RandomForcing": [(flow, co.forces.RandomForcing(5.0, (1, 2), seed=3)) for flow in (SPINNING, TURNING)],
+    "TransportNoise": [
+        (flow, co.forces.TransportNoise((1, 2), 1.5, (1.0, 0.5), seed=3)) for flow in (SPINNING, TURNING)
+    ],
 }
 
 

@@ -13,7 +13,7 @@ from matrix.cases import value_of
 from matrix.forces import force_on, is_noise
 from satellite_forces import CASES, PERIOD, SPIN, TENSOR, TURNED, Case, F, error_of, path, reference_of, together
 
-ON_ORBITS = {"DoubleBracketDamping", "HeatBath"}  # these turn the attitude too, and are no torques
+ON_ORBITS = {"DoubleBracketDamping", "HamiltonianNoise", "HeatBath", "RandomTorque"}  # no torques of the state
 
 
 def torque(x, A, t):
@@ -118,7 +118,12 @@ def test_a_law_sees_the_state_of_its_sample(pair, other):
         alone = free.with_forces(case.force)
         x = method.step(alone, alone.state(TURNED, SPIN, **rotors), t, h)
         held[type(case.force)] = x[free.dim :]
-    force = {"DoubleBracketDamping": F.DoubleBracketDamping(0.2), "HeatBath": F.HeatBath(0.2, temperature=0.3, seed=4)}
+    force = {
+        "DoubleBracketDamping": F.DoubleBracketDamping(0.2),
+        "HamiltonianNoise": F.HamiltonianNoise(np.eye(free.dim)[:2], 0.3, seed=4),
+        "HeatBath": F.HeatBath(0.2, temperature=0.3, seed=4),
+        "RandomTorque": F.RandomTorque(0.3, "space", seed=4),
+    }
     third = force[other] if other in force else on_body([*pair, other])[-1].force
     for order in itertools.permutations([*(case.force for case in cases), third]):
         system = free.with_forces(*order)

@@ -263,6 +263,7 @@ FORCES = {
     "Friction": (0.1,),
     "BetaPlane": (0.5,),
     "RandomForcing": (0.1, (1, 2), 7, 2),
+    "TransportNoise": ((1, 2), 0.3, (1.0, 0.5), 7, 2),
 }
 
 

@@ -31,6 +31,7 @@ FORCES = (
     lambda s: co.forces.OwnForce(lambda x, t, tau: x, name=LONG_NAME),
     lambda s: co.forces.Viscosity(1e-6, power=4),
     lambda s: co.forces.RandomForcing(0.02, band=(2, 3), seed=1),
+    lambda s: co.forces.TransportNoise((1, 2), 0.1, seed=1),
     lambda s: co.forces.BetaPlane(1 / 3),
 )
 

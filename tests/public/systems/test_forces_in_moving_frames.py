@@ -113,7 +113,7 @@ SPIN = np.array([0.1, -0.2, 0.7])
 def test_every_force_is_a_case_or_refused(e):
     orbit = ORBITS[e]
     space = {"np": np, "co": co, "f": functions, "system": orbit}
-    acting = {name.split()[0].rstrip(",") for name in CASES} | {"HeatBath"}
+    acting = {name.split()[0].rstrip(",") for name in CASES} | {"HeatBath", "HamiltonianNoise", "RandomTorque"}
     for name in set(F.names()) - acting:
         with pytest.raises((TypeError, ValueError)):
             law = {"Sampled", "ReactionWheels", "ControlMomentGyros"}

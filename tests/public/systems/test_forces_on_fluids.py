@@ -272,8 +272,16 @@ def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s,
         (lambda: SPHERES[0].with_forces(some.Torque(lambda t: np.eye(6))), ("su",)),
         (lambda: SPHERES[0].with_forces(some.LinearDamping(0.1, toward=1.0)), ("toward", "shape")),
         (lambda: SPHERES[0].with_forces(some.LinearDamping(np.ones(72))), ("LinearDamping", "Friction")),
-        (lambda: SPHERES[0].with_forces(some.DoubleBracketDamping(0.1)), ("structure constants",)),
-        (lambda: SPHERES[0].with_forces(some.HeatBath(0.1, temperature=1.0, seed=1)), ("structure constants",)),
+        (
+            lambda: SPHERES[0].with_forces(some.DoubleBracketDamping(0.1, np.ones(72))),
+            ("metric", "DoubleBracketDamping", "(72,)", "a number"),
+        ),
+        (
+            lambda: co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T).with_forces(
+                some.HeatBath(0.1, temperature=1.0, seed=1)
+            ),
+            ("HeatBath", "gl(3, R)", "skew-Hermitian", "LinearDamping"),
+        ),
         (
             lambda: co.prepare(
                 SPHERES[0].with_forces(some.Torque(one_degree(SPHERES[0]))), GAUSS, 0.125, inputs={"stirring": "Torque"}

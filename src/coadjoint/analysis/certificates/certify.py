@@ -58,7 +58,8 @@ def certify(
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system. With forces, the rows of the scheme are those on the Hamiltonian part, and each force has three: its
-        flow is that of its field, the compiled flow is that in NumPy, and the work recorded is that of the flow.
+        flow is that of its field, the compiled flow is that in NumPy, and the work recorded is that of the flow. A
+        `HamiltonianNoise` has two more: strong and weak order, with standard errors and the number of paths.
     method : Method or callable
         A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
         state after a step of length h, which may be negative. `order`, `properties` and `symmetric` are the

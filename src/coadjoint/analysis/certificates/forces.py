@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, checked
 from coadjoint.analysis.certificates.convergence import MARGIN, measured_order
 from coadjoint.analysis.certificates.invariants import size_of
+from coadjoint.analysis.certificates.noise import noise_rows
 from coadjoint.analysis.certificates.reference import FINE_TOLERANCE, integrated
 from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.hamiltonian_noise import OrbitNoise
 from coadjoint.systems.system import System
 from coadjoint.validation import set_fields
 
@@ -41,6 +43,8 @@ def force_rows(subject: Subject, forced: System) -> list[Row]:
         set_fields(alone, forces=(force,), labels=(label,))
         rows.append(_flow_row(subject, forced.unforced, force, label, order))
         rows += _step_rows(subject, alone, label)
+        if isinstance(force, OrbitNoise):
+            rows += noise_rows(subject, forced.unforced, force, label)
     return rows
 
 

@@ -15,20 +15,25 @@ from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Ker
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.compiled import CompiledTables, as_structure
+from coadjoint.kernels.tables.compiled import CompiledTables, as_structure, raised_by
+from coadjoint.kernels.tables.field import field_of
 from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.steps import (
     INNER_LOOP_INDEX,
     STEP_LOOP,
+    blas_address,
     inner_loop_integers,
     named_step_tables,
     stream_tables,
 )
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
-from coadjoint.systems.coefficients import linear_of, with_linear
+from coadjoint.systems.coefficients import linear_of, with_hamiltonian, with_linear
 from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
+from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
+from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
+from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows
 from coadjoint.systems.system_stacks import SystemStack, different
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
@@ -98,6 +103,7 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, work_integral: int, work_integrals: int, order: int, compiles: bool = True) -> None:
         self.called: Callable[..., Any] | None = None
+        self._system = system
         self._compiles, self.n, self._order = compiles, system.dim, order
         self._work_integrals = work_integral, work_integrals
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
@@ -132,6 +138,32 @@ class _ForceTableBuilder:
         noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
         return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
 
+    def hamiltonian_noise(self, terms: NoiseTerms, seed: int, stream: int, levels: int) -> ForceTable:
+        energies = {k: H for term in terms.terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)}
+        places = {k: place for place, k in enumerate(energies)}
+        columns = [[*map(places.get, term.indices)] if term.energies else term.indices for term in terms.terms]
+        leaders = [terms.terms[members[0]] for members in terms.sets]
+        if self._compiles:
+            self.keepalive = tuple(field_table(with_hamiltonian(self._system, H)) for H in energies.values())
+        begin = [np.cumsum([0, *map(len, rows)]) for rows in (terms.sets, columns)]
+        return self._table(
+            "HAMILTONIAN_NOISE",
+            np.concatenate([term.values for term in terms.terms]),
+            [0.0 if term.linear else len(term.fractions) * (-1.0 if term.split else 1.0) for term in leaders],
+            seed=seed,
+            stream=stream,
+            sets=len(terms.sets),
+            begin=np.concatenate(begin).astype(np.int64),
+            direction=np.concatenate([*terms.sets, *columns]).astype(np.int64),
+            extent=len(terms.terms),
+            position=levels,
+        )
+
+    def kicks(self, kicks: Kicks, seed: int, stream: int) -> ForceTable:
+        direction = np.stack([kicks.changed, kicks.state, kicks.number], axis=1).ravel()
+        more = {"seed": seed, "stream": stream, "extent": kicks.motions, "sets": len(kicks.factor)}
+        return self._table("KICKS", kicks.factor, direction=direction, **more)
+
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> ForceTable:
         count, what = 3 * len(MEASURED), "the flow of a force"
         if not noises:
@@ -151,6 +183,51 @@ class _ForceTableBuilder:
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
         flat = np.concatenate(amplitudes)
         return self._on_modes("MODE_NOISE", modes, layer, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
+
+    def on_matrix_orbit(self, system: Any, factor: float, noise: Noise | None) -> ForceTable:
+        integers, numbers, self.keepalive = stream_tables(system)
+        blocks = [block for _, block, _ in system.algebra.parts]
+        table = ForceTable(
+            codes("ForceKind")["ON_MATRIX_ORBIT"],
+            *self._work_integrals,
+            int(system.complex),
+            np.array([factor, *map(adjoint_casimir, blocks)]),
+            np.array(numbers, dtype=np.float64),
+            np.array([_product_of(system)], dtype=np.int64),
+            begin=np.array(integers, dtype=np.int64),
+            direction=blocks_of_rows(system.algebra),
+            position=acting_layers(system),
+            turning=np.array([float(block.complex) for block in blocks]),
+        )
+        if noise is None:
+            return table
+        return table._replace(amplitude=noise.amplitude, seed=noise.seed, stream=noise.stream)
+
+    def matrix_noise(
+        self, system: Any, elements: NDArray[Any], commuting: bool, seed: int, stream: int, levels: int
+    ) -> ForceTable:
+        return ForceTable(
+            codes("ForceKind")["MATRIX_NOISE"],
+            *self._work_integrals,
+            int(system.complex),
+            NO_NUMBERS,
+            NO_NUMBERS,
+            np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64),
+            amplitude=float(commuting),
+            seed=seed,
+            stream=stream,
+            sets=len(elements),
+            direction=np.array([elements.ndim - 2], dtype=np.int64),
+            extent=system.algebra.N,
+            basis=np.ascontiguousarray(elements).view(np.float64).ravel(),
+        )
+
+    def mode_transport(
+        self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
+    ) -> ForceTable:
+        function = np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64)
+        table = self._on_modes("MODE_TRANSPORT", modes, 0, numbers, np.concatenate(amplitudes), NO_NUMBERS)
+        return table._replace(function=function, seed=seed, stream=stream)
 
     def _on_modes(
         self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any
@@ -174,6 +251,11 @@ class _ForceTableBuilder:
         self.called = function
         if self._compiles:
             self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
+
+
+def _product_of(system: Any) -> int:
+    """Return the address of the product of the matrices of a system."""
+    return blas_address("zgemm" if system.complex else "dgemm")
 
 
 def compiled_force_function(
@@ -209,6 +291,21 @@ def _adapted_arguments(
         return function(y[:n], t, y[n], y[n + 1 :])
 
     return {"t": of_time, "x, t, tau": of_flow, "x, t, tau, deviates": of_noisy_flow}[arguments]
+
+
+class FieldTable(KernelFunction):
+    """A table of a field, with the functions that it calls."""
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception that a function raised, if any."""
+        return raised_by(self._held[1])
+
+
+def field_table(system: Any) -> KernelFunction:
+    """Return the field of a system as a table at an address."""
+    field, owners = field_of(system)
+    structure = as_structure(field)
+    return FieldTable(ctypes.addressof(structure), (structure, owners), lambda: (field_table, (system,)))
 
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:

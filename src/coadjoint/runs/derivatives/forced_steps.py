@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
+from coadjoint.methods.forced import Forced, flow_of_force, halves_of_step, on_side
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
@@ -44,10 +44,13 @@ Member = tuple[System, list[FlowEntry]]
 
 
 class HalfFlows:
-    """Flows of the forces on some members in one half of a step: from t, of length h, in the order of positions."""
+    """Flows of the forces on some members on one side of a substep: their numbers, begins and durations in order."""
 
-    def __init__(self, members: Sequence[Member], t: float, h: float, order: Sequence[int], scheme_order: int) -> None:
-        self._members, self._t, self._h, self._order, self._scheme_order = members, t, h, order, scheme_order
+    def __init__(
+        self, members: Sequence[Member], side: int, flows: Sequence[tuple[int, float, float]], scheme_order: int
+    ) -> None:
+        self._members, self._side, self._scheme_order = members, side, scheme_order
+        self._order, self._times = [j for j, _, _ in flows], {j: (t, h) for j, t, h in flows}
 
     def apply(self, x: Floats) -> Floats:
         return np.array([self._apply(member, state) for member, state in zip(self._members, x, strict=True)])
@@ -106,26 +109,29 @@ class HalfFlows:
     def _pull_orbit_steps(
         self, member: Member, j: int, steps: Sequence[Any], of_x: Floats, by_entries: Floats
     ) -> Floats:
-        of_x, found = pull_through(steps, member[0].flows[j][1].scalings(), of_x, *_parameters(member, j))
+        of_x, found = pull_through(steps, self._force(member[0], j).scalings(), of_x, *_parameters(member, j))
         for number, entry in enumerate(member[1]):
             if j in entry.flows:
                 by_entries[number] += found[entry.name][entry.entry]
         return of_x
 
     def _flow(self, system: System, j: int, x: Floats) -> Floats:
-        end = system.flows[j][1].flow_of_order(system.unforced, x, self._t, self._h, self._scheme_order)
+        end = self._force(system, j).flow_of_order(system.unforced, x, *self._times[j], self._scheme_order)
         return np.asarray(end, dtype=np.float64)
 
     def _flow_with_derivative(self, system: System, j: int, x: Floats) -> LinearizedStep:
-        return flow_of_force(system.flows[j][1], system.unforced, x, self._t, self._h, self._scheme_order)
+        return flow_of_force(self._force(system, j), system.unforced, x, *self._times[j], self._scheme_order)
+
+    def _force(self, system: System, j: int) -> Any:
+        return on_side(system.flows[j][1], self._side)
 
     def _orbit_steps(self, member: Member, j: int, x: Floats) -> Sequence[Any]:
         """Return the flow j by sparse products, if there is a formula for it and for all parameters."""
-        force = member[0].flows[j][1]
+        force = self._force(member[0], j)
         known = force.scalings()
         if not all(field in known for field in _parameters(member, j)[0].values()):
             return ()
-        return force.orbit_steps(member[0].unforced, x, self._t, self._h)
+        return force.orbit_steps(member[0].unforced, x, *self._times[j])  # type: ignore[no-any-return]
 
     def _changes(self, member: Member, wanted: NDArray[np.bool_], j: int, x: Floats) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow j by the wanted entries, with their numbers."""
@@ -187,8 +193,7 @@ class ForcedSteps:
         groups, directions = run.groups[some].reshape(len(x), *dg.shape[2:]), run.coefficients[:, self._flows]
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
-            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
-                before, after = self._halves(members, t, h)
+            for t, h, (before, after) in self._substeps(members, run.t0 + (k - 1) * run.h, run.h):
                 x, dx = before.push(x, dx, directions)
                 base = self._step(x, groups, t, h)
                 dx, dg = self._base_forward(base, dx, dg, run.coefficients)
@@ -206,8 +211,7 @@ class ForcedSteps:
         starts, steps = [], []
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
-            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
-                before, after = self._halves(members, t, h)
+            for t, h, (before, after) in self._substeps(members, run.t0 + (k - 1) * run.h, run.h):
                 starts.append(x)
                 steps.append(self._step(before.apply(x), groups, t, h))
                 groups = self._groups_after(steps[-1])
@@ -219,8 +223,8 @@ class ForcedSteps:
                 mark -= 1
                 of_x, of_groups = of_x + run.at_points[mark, some], of_groups + run.at_groups[mark, some]
             by_entries = coefficients[:, self._flows]
-            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h)[::-1]:
-                base, (before, after) = steps.pop(), self._halves(members, t, h)
+            for _, _, (before, after) in self._substeps(members, run.t0 + (k - 1) * run.h, run.h)[::-1]:
+                base = steps.pop()
                 of_x = after.pull(base.end, of_x, by_entries)
                 of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
                 of_x = before.pull(starts.pop(), of_x, by_entries)
@@ -236,12 +240,15 @@ class ForcedSteps:
             found.append((numbered(self._system), entries))
         return found
 
-    def _halves(self, members: Sequence[Member], t: float, h: float) -> tuple[HalfFlows, HalfFlows]:
-        """Return the flows of forces before and after a step from t, of length h: these in reverse order."""
-        forward = range(len(self._system.flows))
-        halves = (t, 0.5 * h, forward), (t + 0.5 * h, 0.5 * h, forward[::-1])
-        before, after = (HalfFlows(members, *half, self._scheme.order) for half in halves)
-        return before, after
+    def _substeps(
+        self, members: Sequence[Member], t: float, h: float
+    ) -> list[tuple[float, float, tuple[HalfFlows, HalfFlows]]]:
+        """Return begin and length of each substep, and the flows of forces before and after it."""
+        order = self._scheme.order
+        return [
+            (begin, length, (HalfFlows(members, 0, halves[0], order), HalfFlows(members, 1, halves[1], order)))
+            for begin, length, halves in halves_of_step(self._system.flows, self._scheme.fractions, t, h)
+        ]
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         count, side = len(x), groups.shape[1]

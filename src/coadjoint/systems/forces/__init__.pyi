@@ -17,12 +17,16 @@ from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
 from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
+from .hamiltonian_noise import HamiltonianNoise as HamiltonianNoise
+from .hamiltonian_noise import RandomField as RandomField
 from .magnetorquers import BDot as BDot
 from .magnetorquers import Magnetorquers as Magnetorquers
+from .random_torque import RandomTorque as RandomTorque
 from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled
 from .torque import Torque as Torque
+from .transport_noise import TransportNoise as TransportNoise
 from .wheel_friction import WheelFriction as WheelFriction
 
 __all__: list[str]

@@ -65,6 +65,12 @@ class ForceReader(Protocol):
     def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> Any:
         """Register x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P, L are numbers, (n,) or (n, n)."""
 
+    def hamiltonian_noise(self, terms: Any, seed: int, stream: int, levels: int) -> Any:
+        """Register x' = sum_b sign J(x) grad G_b o dB_b, with the `NoiseTerms` of G_b, on one side of each step."""
+
+    def kicks(self, kicks: Any, seed: int, stream: int) -> Any:
+        """Register additive noise by its `Kicks`, with the increments of a time at once."""
+
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> Any:
         """Register a flow, a function of (x, t, tau), and with noises also of the deviates of all."""
 
@@ -73,6 +79,19 @@ class ForceReader(Protocol):
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
+
+    def on_matrix_orbit(self, system: Any, factor: float, noise: Noise | None) -> Any:
+        """Register X' = factor [dual of [Y, X], X] with the stream Y, and noise in all directions of the algebra."""
+
+    def matrix_noise(
+        self, system: Any, elements: NDArray[Any], commuting: bool, seed: int, stream: int, levels: int
+    ) -> Any:
+        """Register X' = [sum of elements times white noise, X], on one side of each step."""
+
+    def mode_transport(
+        self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
+    ) -> Any:
+        """Register the same for modes with white noise of given amplitudes; lists over diagonals."""
 
 
 class Force(Abstract):
@@ -90,6 +109,9 @@ class Force(Abstract):
 
     random: ClassVar[bool] = False
     """Whether it draws random numbers, for whole steps: a diffusion, which has no field, or noise of measurements."""
+
+    around_steps: ClassVar[bool] = False
+    """Whether it acts before or after a whole step, by its flows ``on_side``, and not within substeps of a scheme."""
 
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
@@ -141,6 +163,14 @@ class Force(Abstract):
         ValueError, TypeError
             The force and the system do not match; the message names the mismatch.
         """
+
+    def on_side(self, side: int) -> Any:
+        """Return the flow before (0) or after (1) a step, of forces that act around steps."""
+        raise NotImplementedError(f"{self.label} acts within steps")
+
+    def preserves_poisson(self, system: Any) -> bool:
+        """Whether its flow on a system is a Poisson map."""
+        return False
 
     def _needs_energy(self, system: Any) -> bool:
         """Return whether its flow depends on the Hamiltonian or another parameter of a system."""

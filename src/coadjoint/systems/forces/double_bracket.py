@@ -25,18 +25,30 @@ from coadjoint.systems.forces.base import (
     read_seed,
 )
 from coadjoint.systems.forces.orbit_flow import (
+    MAX_MIDPOINTS,
     Exponential,
     Midpoint,
     bracket_of,
     constant_hessian,
     exponential,
     exponential_with_tangent,
+    is_settled,
     metric_root,
+    midpoint,
 )
+from coadjoint.systems.matrices.conjugation import (
+    acting_layers,
+    check_conjugated,
+    conjugated,
+    conjugation_tangent,
+    damped,
+    damping_element,
+    damping_tangent,
+    gaussian_element,
+    with_layers,
+)
+from coadjoint.systems.matrices.conjugation import exponential as unitary
 from coadjoint.validation import read_nonnegative
-
-MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten
-SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
 
 
 @suggest_keywords
@@ -47,15 +59,19 @@ class DoubleBracketDamping(Force):
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
     ``S' = -alpha S cross (S cross B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
     1/(1 + a^2), and take alpha = a. Magnetic moments m, ``m' = -m cross B - alpha m cross (m cross B)``, are S = -m in
-    the field -B, with the same alpha. For fluids it is the selective decay of energy at constant vorticity. The energy
-    decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
+    the field -B, with the same alpha. The energy decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
+
+    On skew-Hermitian matrices, as of fluids, it is ``W' = energy_sign alpha [[P, W], W]``, P the stream: the energy of
+    a fluid decreases at alpha times the integral of the square of its advection ``u . grad omega``, for every size of
+    the matrices, and each value of the vorticity keeps its area. Two matrices, a vorticity and a magnetic potential,
+    move along the orbit of both; a passive scalar is carried, and does not affect the damping.
 
     Where axes, directions or positions are part of the state, a number as metric is that of these: they are not
     changed, and the damping is friction. A body in space has the torque ``-2 alpha Omega`` and the force ``-alpha r'``,
     and a top the torque ``-alpha gamma cross (Omega cross gamma)``.
 
-    Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric; Casimirs are preserved to
-    round-off.
+    Its flow is the midpoint rule on the orbit, by exponentials, or by Cayley transforms of matrices: of order 2,
+    symmetric; Casimirs are preserved to round-off.
 
     Parameters
     ----------
@@ -63,7 +79,8 @@ class DoubleBracketDamping(Force):
         Strength, zero or positive.
     metric : float, (n,) or (n, n) array_like
         P, symmetric and positive semidefinite. Use 1 if the invariant form of the algebra is the sum of squares, as for
-        spins and so(n). It is zero for momenta whose brackets would change axes, directions or positions.
+        spins and so(n). It is zero for momenta whose brackets would change axes, directions or positions. For matrices
+        it is a number, a multiple of the invariant form in units of the energy: for fluids the integral of products.
 
     Raises
     ------
@@ -100,6 +117,14 @@ class DoubleBracketDamping(Force):
 
     def check(self, system: Any) -> None:
         name = type(self).__name__
+        if system.has_matrices:
+            check_conjugated(system, name)
+            if np.ndim(self.metric):
+                raise ValueError(
+                    f"metric of {name} has the shape {np.shape(self.metric)}; on the matrices of {system.name} it is a "
+                    "number"
+                )
+            return
         if not system.has_structure_constants:
             raise ValueError(
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not "
@@ -108,12 +133,18 @@ class DoubleBracketDamping(Force):
         check_dimension(self.metric, f"metric of {name}", system)
 
     def _check_kinds(self, system: Any) -> None:
+        if system.has_matrices:
+            return
         used = np.asarray(self.metric) != 0.0
         if moving_others(system) is not None and used.ndim:
             used = used.any(axis=1) if used.ndim > 1 else used
             check_moved(f"metric of {self.label}", system, moved_by(system, used))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        if system.has_matrices:
+            X = system.matrices(x)
+            A = with_layers(system, damping_element(system, self._factor(system), X, t))
+            return np.asarray(system.to_vector(system.bracket(A, X)))
         J = system.algebra.structure_matrix(x)
         return np.asarray(system.sign * (J @ self._damping_direction(system, x, t)))
 
@@ -125,20 +156,22 @@ class DoubleBracketDamping(Force):
     def _damping_direction(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return self.alpha * apply_metric(self._metric_on(system), system.vector_field(x, t))
 
+    def _factor(self, system: Any) -> float:
+        """Return the factor of the double bracket of matrices."""
+        return float(self.alpha * self.metric * system.energy_sign)
+
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if system.has_matrices:
+            X = damped(system, self._factor(system), system.matrices(x), float(t), float(tau))
+            return np.asarray(system.to_vector(X))
         return exponential(system, self._midpoint(system, x, t, tau)[1], x)
 
     def _midpoint(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the midpoint of the flow, and the direction of its exponential."""
-        middle, last_change = x, np.inf
-        for _ in range(MAX_SUBSTEPS):
-            before, v = middle, tau * self._damping_direction(system, middle, t + 0.5 * tau)
-            middle = exponential(system, 0.5 * v, x)
-            change = float(np.sum(np.abs(middle - before)))
-            if _is_settled(change, last_change, x):
-                return before, v
-            last_change = change
-        raise self._not_converged(t, last_change)
+        found = midpoint(system, lambda y: tau * self._damping_direction(system, y, t + 0.5 * tau), x)
+        if found.direction is None:
+            raise self._not_converged(t, found.residual)
+        return found.middle, found.direction
 
     def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
         """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
@@ -146,7 +179,8 @@ class DoubleBracketDamping(Force):
         return [] if step is None else [step]
 
     def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
-        form = constant_hessian(system.hamiltonian, system.dim) if system.algebra is not None else None
+        known = system.algebra is not None and not system.has_matrices
+        form = constant_hessian(system.hamiltonian, system.dim) if known else None
         if form is None:
             return None
         hessian, linear = form
@@ -157,13 +191,13 @@ class DoubleBracketDamping(Force):
             return np.asarray(apply_metric(metric, y))
 
         middle, last_change = x, np.inf
-        for _ in range(MAX_SUBSTEPS):
+        for _ in range(MAX_MIDPOINTS):
             before, gradient = middle, hessian @ middle + linear
             v = scale * applied(bracket.product(middle, gradient))
             half = Exponential.of(bracket, 0.5 * v, x)
             middle = half.end
             change = float(np.sum(np.abs(middle - before)))
-            if _is_settled(change, last_change, x):
+            if is_settled(change, last_change, x):
                 gradient = hessian @ middle + linear
                 return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
             last_change = change
@@ -189,6 +223,8 @@ class DoubleBracketDamping(Force):
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
         """Return the derivative of the midpoint rule, by that of its equation."""
+        if system.has_matrices:
+            return damping_tangent(system, self._factor(system), system.matrices(x), t, tau)
         middle, v = self._midpoint(system, x, t, tau)
         of_direction = tau * self.alpha * _product_of(self._metric_on(system), system.jacobian(middle, t + 0.5 * tau))
         _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)
@@ -197,6 +233,8 @@ class DoubleBracketDamping(Force):
         return np.asarray(by_x + by_v @ of_direction @ of_middle)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        if system.has_matrices:
+            return reader.on_matrix_orbit(system, self._factor(system), self.noise(system))
         metric = self._metric_on(system)
         return reader.on_orbit(self.alpha * np.asarray(metric), metric_root(metric, "metric"), self.noise(system))
 
@@ -217,8 +255,10 @@ class HeatBath(DoubleBracketDamping):
 
     The flow is half of the noise, the midpoint rule of the damping, and half of the noise, all by exponentials on the
     orbit: every Casimir is preserved to round-off, in every realization. Commuting noise directions are applied
-    together, with the exact distribution, and the sets of them are composed symmetrically. So averages have an error of
-    second order in the step, whereas the stochastic midpoint rule, which takes all directions at once, has order one.
+    together, with the exact distribution, and the sets of them are composed symmetrically. The noise of matrices, in
+    all directions of their algebra, is one exponential: its law is invariant under conjugations, so that its mean is a
+    function of the Laplacian, whose second order a corrected variance makes exact. So averages have an error of second
+    order in the step, whereas the stochastic midpoint rule, which takes all directions at once, has order one.
     The noise enters no iteration, and increments need no truncation.
 
     The noise is a function of the seed, the number of the member and the time only: it does not depend on the number of
@@ -281,6 +321,8 @@ class HeatBath(DoubleBracketDamping):
 
     def _check_kinds(self, system: Any) -> None:
         super()._check_kinds(system)
+        if system.has_matrices:
+            return
         metric = np.asarray(self._metric_on(system))
         used = np.broadcast_to(np.diagonal(metric) if metric.ndim > 1 else metric, system.dim)
         for k, inertia in enumerate(getattr(system, "inertias", ())):
@@ -299,6 +341,9 @@ class HeatBath(DoubleBracketDamping):
         """Return the thermal noise; None at temperature zero."""
         if self.amplitude == 0.0:
             return None
+        if system.has_matrices:
+            amplitude = self.amplitude * float(np.sqrt(self.metric / system.energy_unit))
+            return Noise(amplitude, self.seed, self.stream, ())
         return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self._metric_on(system)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
@@ -309,6 +354,8 @@ class HeatBath(DoubleBracketDamping):
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
         """Return the derivative of the flow with the same noise."""
+        if system.has_matrices:
+            return self._tangent_of_matrices(system, x, t, tau)
         product, y = np.eye(len(x)), x
         for v in self._noise_directions(system, t, tau, 0):
             y, by_x, _ = exponential_with_tangent(system, v, y)
@@ -330,6 +377,8 @@ class HeatBath(DoubleBracketDamping):
             for v in self._noise_directions(system, t, tau, half):
                 steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
 
+        if system.has_matrices:
+            return []
         bracket = bracket_of(system.algebra, system.sign)
         noise(0)
         damping = self._midpoint_step(system, steps[-1].end if steps else x, t, tau)
@@ -342,7 +391,35 @@ class HeatBath(DoubleBracketDamping):
     def scalings(self) -> dict[str, tuple[Any, Any]]:
         return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
+    def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        product, X = np.eye(system.dim), system.matrices(x)
+        for half in range(2):
+            if half:
+                product = damping_tangent(system, self._factor(system), X, t, tau) @ product
+                X = damped(system, self._factor(system), X, t, tau)
+            for U in self._unitary_noise(system, t, tau, half):
+                product, X = conjugation_tangent(system, U) @ product, conjugated(system, U, X)
+        return np.asarray(product)
+
+    def _unitary_noise(self, system: Any, t: float, tau: float, half: int) -> Iterator[NDArray[Any]]:
+        """Yield what conjugates matrices in half of the noise: a shear of a second layer, then one exponential."""
+        noise = self.noise(system)
+        if noise is None:
+            return
+        variance, N = 0.5 * tau * noise.amplitude**2, system.algebra.N
+        if acting_layers(system) == 2:
+            deviates = normal_deviates(self.seed, self.stream, t, 2 + half, N * N)
+            shear = gaussian_element(system.algebra, deviates, variance, corrected=False)
+            yield np.stack([np.eye(N, dtype=shear.dtype), shear])
+        deviates = normal_deviates(self.seed, self.stream, t, half, N * N)
+        yield unitary(system, with_layers(system, gaussian_element(system.algebra, deviates, variance, corrected=True)))
+
     def _apply_noise(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
+        if system.has_matrices:
+            X = system.matrices(x)
+            for U in self._unitary_noise(system, t, tau, half):
+                X = conjugated(system, U, X)
+            return np.asarray(system.to_vector(X))
         for v in self._noise_directions(system, t, tau, half):
             x = exponential(system, v, x)
         return x
@@ -358,11 +435,6 @@ class HeatBath(DoubleBracketDamping):
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]
             yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
-
-
-def _is_settled(change: float, last_change: float, x: NDArray[Any]) -> bool:
-    """Test whether an iteration ends: its changes are those of rounding, and no longer halve."""
-    return change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x))))
 
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:

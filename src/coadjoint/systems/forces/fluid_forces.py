@@ -22,6 +22,7 @@ from coadjoint.systems.forces.mode_force import (
     layer_index,
     layer_vector,
     modes_of,
+    noise_matrix,
     read_layer,
 )
 from coadjoint.systems.matrices.torus_modes import representatives
@@ -303,18 +304,9 @@ class RandomForcing(Force):
             raise ValueError("RandomForcing is a noise, which does not run backward")
         modes = modes_of(system, self.label)
         numbers, amplitudes = self._selected_modes(system, modes)
-        count = sum(map(len, numbers))
-        pairs = normal_deviates(self.seed, self.stream, float(t), 0, 2 * count).reshape(count, 2)
-        coefficients, offset = [], 0
-        for d, amplitude in enumerate(amplitudes):
-            real, imaginary = pairs[offset : offset + len(amplitude)].T
-            offset += len(amplitude)
-            if d == 0 and modes.kind != Waves.kind:
-                coefficients.append(1j * np.sqrt(tau) * amplitude * real)
-                continue
-            multiplicity = 2.0 if d == 0 else 1.0
-            coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
-        return np.asarray(x + layer_vector(system, self.layer, modes.matrix(coefficients, numbers)))
+        deviates = normal_deviates(self.seed, self.stream, float(t), 0, 2 * sum(map(len, numbers)))
+        noise = noise_matrix(modes, numbers, amplitudes, deviates, float(tau))
+        return np.asarray(x + layer_vector(system, self.layer, noise))
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
         return np.array(1.0)

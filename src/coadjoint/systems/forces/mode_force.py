@@ -163,6 +163,23 @@ class Waves(ModeBasis):
         return np.asarray(np.exp(2j * np.pi * representatives(self.N) / self.N))
 
 
+def noise_matrix(
+    modes: ModeBasis, numbers: Sequence[Numbers], amplitudes: Sequence[Floats], deviates: Floats, tau: float
+) -> Complexes:
+    """Return the noise of a time tau from two normal deviates for each mode: amplitudes of |c|, by diagonal."""
+    pairs, coefficients, offset = deviates.reshape(-1, 2), [], 0
+    for d, amplitude in enumerate(amplitudes):
+        real, imaginary = pairs[offset : offset + len(amplitude)].T
+        offset += len(amplitude)
+        if d == 0 and modes.kind != Waves.kind:
+            coefficients.append(1j * np.sqrt(tau) * amplitude * real)
+            continue
+        # The main diagonal has both waves n and -n.
+        multiplicity = 2.0 if d == 0 else 1.0
+        coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
+    return modes.matrix(coefficients, numbers)
+
+
 LAYERS = ("vorticity", "carried")
 """Fields of a two-layer system: the vorticity, and the field carried by the flow."""
 

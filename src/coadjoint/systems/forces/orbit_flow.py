@@ -22,6 +22,8 @@ NEGLIGIBLE = 2.0**-60  # of the result: bound of a term that no longer changes i
 MAX_ITERATIONS = 1000
 MAX_SUBSTEPS = 4096  # of an exponential, as in the kernels
 SETTLED = 2.0**-48
+MAX_MIDPOINTS = 192  # iterations of the midpoint rule; convergent ones take some ten
+SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
 
 
 class Bracket(NamedTuple):
@@ -201,6 +203,32 @@ def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
                 break
         x = x + total
     return np.asarray(x)
+
+
+class FoundMidpoint(NamedTuple):
+    """The midpoint of a flow and the direction of its exponential, or None with the last correction."""
+
+    middle: NDArray[Any]
+    direction: NDArray[Any] | None
+    residual: float
+
+
+def midpoint(system: Any, direction: Callable[..., Any], x: NDArray[Any]) -> FoundMidpoint:
+    """Solve y = exp(D_v / 2) x with v = direction(y), by iteration."""
+    middle, last_change = x, np.inf
+    for _ in range(MAX_MIDPOINTS):
+        before, v = middle, direction(middle)
+        middle = exponential(system, 0.5 * v, x)
+        change = float(np.sum(np.abs(middle - before)))
+        if is_settled(change, last_change, x):
+            return FoundMidpoint(before, v, change)
+        last_change = change
+    return FoundMidpoint(middle, None, last_change)
+
+
+def is_settled(change: float, last_change: float, x: NDArray[Any]) -> bool:
+    """Test whether an iteration ends: its changes are those of rounding, and no longer halve."""
+    return change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x))))
 
 
 def exponential_with_tangent(

@@ -151,7 +151,8 @@ TABLE(StepTables, STEP_FIELDS)
 // of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
 // `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
 // is a step of the classical Runge-Kutta method if that is zero. A given flow also takes the deviates of `sets` laws that
-// measure with noise: each twice `extent`, by the seed and the stream in `direction`, and the period in `rate`.
+// measure with noise: each twice `extent`, by the seed and the stream in `direction`, and the period in `rate`. The table
+// of a noise of Hamiltonians is described in forces/hamiltonian_noise.hpp, and that of additive noise in forces/force.hpp.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
     _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \

@@ -4,12 +4,14 @@
 #include <memory>
 
 #include "field/field.hpp"
+#include "forces/hamiltonian_noise.hpp"
+#include "forces/matrix_force.hpp"
 #include "forces/mode_force.hpp"
+#include "forces/orbit_exponential.hpp"
 #include "forces/random.hpp"
 #include "forces/spin_bath.hpp"
 #include "numbers/arithmetic.hpp"
 #include "recording/watching.hpp"
-#include "steps/exponential.hpp"
 
 namespace coadjoint {
 
@@ -19,19 +21,29 @@ class Force {
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
-    Force(const ForceTable& table, const Field& field, const MemberConstants& constants)
-        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponential(n),
+    Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
+        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponent(field, group, constants),
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
-          three(n), four(n), five(n), six(n) {
+          three(n), four(n), five(n), six(n), matrix(matrix_force(table)) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
             if (!*spins) spins.reset();
         }
+        if (table.kind == HAMILTONIAN_NOISE) noise.reset(new HamiltonianNoise(table, field, group, constants));
     }
 
-    // Apply the flow to x from time t for the time tau, negative for backward; return a status.
-    int64_t flow(double* x, double t, double tau, int64_t member) {
+    // Whether it acts before (side 0) or after (side 1) a whole step, and not in substeps.
+    bool around_steps() const { return noise || (matrix && matrix->around_steps()); }
+
+    // Whether it acts on this side of the step from t of length h.
+    bool acts(double t, double h, int64_t member, int64_t side) {
+        return noise ? noise->acts(t, h, member, side) : matrix->acts(t, h, member, side);
+    }
+
+    // Apply the flow to x from time t for the time tau, negative for backward; return a status. A flow around a step also
+    // moves the group element, if there is one.
+    int64_t flow(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
         switch (table.kind) {
@@ -40,8 +52,13 @@ class Force {
             case OF_TIME: return push_by_time(x, t, tau);
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
+            case HAMILTONIAN_NOISE: return shake_by(x, element, t, tau, member, side);
+            case KICKS: return kick(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
+            case ON_MATRIX_ORBIT:
+            case MATRIX_NOISE:
+            case MODE_TRANSPORT: return move_matrix(x, t, tau, member);
         }
         return given_flow(x, t, tau, member);
     }
@@ -55,11 +72,13 @@ class Force {
     const MemberConstants constants;
     const int64_t n;
     FieldWorkspace<double> workspace;
-    ExponentialAction exponential;
+    OrbitExponential exponent;
     std::vector<double> one, two, three, four, five, six, expm1;
     double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `expm1` is computed
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
+    std::unique_ptr<HamiltonianNoise> noise;
+    const std::unique_ptr<MatrixForce> matrix;
 
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
@@ -211,10 +230,34 @@ class Force {
     // exponentials, so every Casimir is preserved, even if an iteration ends early.
     int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
         const bool random = table.amplitude > 0.0;
-        if (random && !shake(x, t, tau, 0, member)) return failed(two.data());
+        if (random && !shake(x, t, tau, 0, member)) return exponent.failed(two.data());
         const int64_t status = settle(x, t, tau);
         if (status != DONE) return status;
-        return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
+        return !random || shake(x, t, tau, 1, member) ? DONE : exponent.failed(two.data());
+    }
+
+    // Additive noise: `sets` changes by the increments of `extent` Brownian motions, each with the coordinate that it
+    // changes, the coordinate by which it is multiplied, or -1, and the number of its motion.
+    int64_t kick(double* x, double t, double tau, int64_t member) {
+        double *drawn = one.data(), *change = two.data();
+        const double size = std::sqrt(tau);
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).draw(0, table.extent, drawn);
+        std::fill_n(change, n, 0.0);
+        for (int64_t e = 0; e < table.sets; ++e) {
+            const int64_t* const at = table.direction + 3 * e;
+            const double value = at[1] < 0 ? 1.0 : x[at[1]];
+            change[at[0]] = fma(table.rate[e] * value, size * drawn[at[2]], change[at[0]]);
+        }
+        for (int64_t i = 0; i < n; ++i) x[i] += change[i];
+        return defined(x);
+    }
+
+    int64_t shake_by(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
+        const int64_t status = noise->flow(x, element, t, tau, member, side);
+        evaluations = noise->exponential.evaluations;
+        iterations = noise->exponential.iterations;
+        residual = noise->exponential.residual;
+        return status;
     }
 
     int64_t rotate_spins(double* x, double t, double tau, int64_t member) {
@@ -223,6 +266,15 @@ class Force {
         iterations = spins->iterations;
         residual = spins->residual;
         return status;
+    }
+
+    int64_t move_matrix(double* x, double t, double tau, int64_t member) {
+        matrix->iterations = matrix->evaluations = 0;
+        const int64_t status = matrix->flow(x, t, tau, member);
+        evaluations = matrix->evaluations;
+        iterations = matrix->iterations;
+        residual = matrix->residual;
+        return status != DONE || finite(n, x) ? status : int64_t(OVERFLOWED);
     }
 
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
@@ -248,32 +300,16 @@ class Force {
         return true;
     }
 
-    // The midpoint rule on the coadjoint orbit: x_new = exp(D_v) x with v = tau b at exp(D_v / 2) x.
     int64_t settle(double* x, double t, double tau) {
-        double *v = two.data(), *middle = four.data(), *before = five.data(), *u = six.data();
-        std::copy_n(x, n, middle);
-        double last = std::numeric_limits<double>::infinity(), first = last, scale = 0.0;
-        for (int64_t i = 0; i < n; ++i) scale += absolute(x[i]);
-        for (iterations = 1; iterations <= MOST_MIDPOINTS; ++iterations) {
-            ++evaluations;
-            slope_at(field, constants, middle, t + 0.5 * tau, tau, u, one.data(), workspace);
+        const int64_t status = exponent.midpoint(x, two.data(), four.data(), [&](const double* middle, double* v) {
+            slope_at(field, constants, middle, t + 0.5 * tau, tau, six.data(), one.data(), workspace);
             apply_metric(one.data(), v);
-            std::copy_n(middle, n, before);
-            if (!exponent(v, 0.5, x, middle)) return failed(v);
-            residual = 0.0;
-            for (int64_t i = 0; i < n; ++i) residual += absolute(middle[i] - before[i]);
-            if (!(residual - residual == 0.0)) return failed(v);
-            if (iterations == 1) first = residual;
-            // Stop if corrections are round-off, and have stopped falling.
-            if (residual == 0.0 || (residual >= 0.5 * last && residual <= NEAR_ROUND_OFF * scale)) break;
-            if (residual > GROWN * (first + scale)) return NOT_CONVERGED;
-            last = residual;
-        }
-        if (iterations > MOST_MIDPOINTS) return NOT_CONVERGED;
-        return exponent(v, 1.0, x, x) ? DONE : failed(v);
+        });
+        iterations = exponent.iterations;
+        evaluations = exponent.evaluations;
+        residual = exponent.residual;
+        return status;
     }
-
-    int64_t failed(const double* v) const { return finite(n, v) ? UNDEFINED : OVERFLOWED; }
 
     // Set out to P y.
     void apply_metric(const double* y, double* out) const {
@@ -288,31 +324,12 @@ class Force {
         }
     }
 
-    // Set out to exp(factor D_v) x.
-    bool exponent(const double* v, double factor, const double* x, double* out) {
-        double* sums = one.data();
-        for (int64_t i = 0; i < n; ++i) {
-            double sum = 0.0;
-            for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                sum = fma(absolute(constants.number_at<double>(field.constant, q)), absolute(v[field.column[q]]), sum);
-            sums[i] = factor * sum;
-        }
-        if (!exponential.measure(sums, n, work_of(field))) return false;
-        exponential.act(x, n, [&](const double* from, double part, double* to) {
-            product(field, constants, from, v, factor * part, to, workspace);
-        });
-        for (int64_t i = 0; i < n; ++i) out[i] = x[i] + exponential.move[i];
-        return true;
-    }
-
     // Parts of the deviates of measurements; 0 and 1 are those of the halves of a bath.
     static constexpr uint64_t OF_SAMPLE = 2, OF_RUN = 3;
     // More than float64 has powers of two.
     static constexpr int MOST_HALVINGS = 1100;
-    // Terms of exp of a matrix of norm 1/2: the next is 2^-17/17!, below 2^-65. Midpoint iterations: some ten converge.
-    static constexpr int64_t SERIES_OF_HALF = 16, MOST_MIDPOINTS = 192;
-    // Of the state: residuals that may stagnate as round-off, and multiple of the first one that diverges.
-    static constexpr double NEAR_ROUND_OFF = 0x1p-40, GROWN = 0x1p20;
+    // Terms of exp of a matrix of norm 1/2: the next is 2^-17/17!, below 2^-65.
+    static constexpr int64_t SERIES_OF_HALF = 16;
 };
 
 }  // namespace coadjoint

@@ -23,14 +23,21 @@ class ModeForce {
     // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its
     // imaginary part; harmonics of the main diagonal have an imaginary part only.
     void shake(double* x, double t, double tau, int64_t member) {
-        const int64_t count = modes.count();
-        values.resize(2 * count);
-        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(2 * count, values.data());
+        values.resize(deviates());
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(deviates(), values.data());
+        add(values.data(), tau, x);
+    }
+
+    // The count of normal deviates of a noise, two for each mode.
+    int64_t deviates() const { return 2 * modes.count(); }
+
+    // Add the noise of a time with given deviates.
+    void add(const double* given, double tau, double* x) {
         const double whole = std::sqrt(tau), half = std::sqrt(0.5 * tau);
         const bool waves = table.shape == WAVES;
         modes.change(x, false, waves, [&](int64_t e, const Complex&) {
-            if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * values[2 * e]);
-            return Complex(half * table.rate[e] * values[2 * e], half * table.rate[e] * values[2 * e + 1]);
+            if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * given[2 * e]);
+            return Complex(half * table.rate[e] * given[2 * e], half * table.rate[e] * given[2 * e + 1]);
         });
     }
 

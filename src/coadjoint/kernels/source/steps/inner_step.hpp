@@ -1,4 +1,4 @@
-// One step of another loop, of one member, as a part of a step; its result is finished.
+// One step of another loop, of one member or of several, as a part of a step; its result is finished.
 #pragma once
 
 #include <new>
@@ -17,17 +17,17 @@ class InnerStep {
 
     // `addresses` are the addresses of the loop, its tables and an empty watch, the size of its memory per member, and
     // the address of the tables by which Casimirs subtracted from H rotate the group element, or zero.
-    InnerStep(const int64_t* addresses, int64_t size, int64_t square)
+    InnerStep(const int64_t* addresses, int64_t size, int64_t square, int64_t members = 1)
         : loop(reinterpret_cast<InnerLoop>(addresses[0])), tables(reinterpret_cast<const void*>(addresses[1])),
           watch(*reinterpret_cast<const Watch*>(addresses[2])),
           unshift_tables(square ? reinterpret_cast<const UnshiftTables*>(addresses[4]) : nullptr) {
         // The steps 0 and 1 are saved: a loop that leaves a step unfinished finishes what it saves.
-        extent.members = 1, extent.points = 3, extent.size = size, extent.square = square;
+        extent.members = members, extent.points = 3, extent.size = size, extent.square = square;
         extent.invariants = 0, extent.memory_size = addresses[3];
         double* const none = reinterpret_cast<double*>(sizeof(double));  // only differences of addresses are used
         const Arrays last(extent, none, none);
         saved.resize(last.values - none + 1);
-        state.resize(reinterpret_cast<double*>(last.iterations) - none + 1);
+        state.resize(reinterpret_cast<double*>(last.iterations) - none + members);
     }
 
     // Move a state, and a group element if there is one; return a status. The step starts afresh unless there is a
@@ -66,7 +66,30 @@ class InnerStep {
         return DONE;
     }
 
+    // Move the states of the first `count` members, without group elements and memories; set the status of each.
+    void take_all(double* const* x, int64_t count, double t, double h, int64_t* status) {
+        Arrays arrays(extent, saved.data(), state.data());
+        for (; int64_t(numbers.size()) < count;) numbers.push_back(int64_t(numbers.size()));
+        for (int64_t b = 0; b < count; ++b) std::copy_n(x[b], extent.size, arrays.momenta + b * extent.size);
+        const Schedule two{t, h, 2, 1, 0, 0, 0, nullptr, nullptr, nullptr, 0};
+        const MemberRange range{numbers.data(), 0, count, 0};
+        const int64_t failed = loop(tables, &watch, &range, &arrays, &two, 0, 1);
+        if (failed == NO_MEMORY) throw std::bad_alloc();
+        if (failed < 0) throw Interrupted{};
+        for (int64_t b = 0; b < count; ++b) {
+            status[b] = arrays.status[b];
+            if (status[b] == DONE) std::copy_n(arrays.x + (extent.members + b) * extent.size, extent.size, x[b]);
+        }
+    }
+
+    // Of a member that was moved with others.
+    int64_t evaluations_of(int64_t b) { return Arrays(extent, saved.data(), state.data()).evaluations[b]; }
+    int64_t iterations_of(int64_t b) { return Arrays(extent, saved.data(), state.data()).iterations[b]; }
+    double residual_of(int64_t b) { return Arrays(extent, saved.data(), state.data()).residual[b]; }
+
   private:
+    std::vector<int64_t> numbers;
+
     // The loop starts at the unit element; the initial element is multiplied by the result.
     void prepare(const double* x, const double* group, double* unit) {
         start.assign(x, x + extent.size);

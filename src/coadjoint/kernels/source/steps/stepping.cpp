@@ -1,9 +1,11 @@
 // Entry points of step methods for Python: the loop over steps, of one member after the other or of members as lanes.
 #include <atomic>
+#include <deque>
 #include <memory>
 
 #include "boundary/loop.hpp"
 #include "numbers/float_mode.hpp"
+#include "steps/member_batches.hpp"
 #include "steps/own_steps.hpp"
 
 namespace coadjoint {
@@ -136,6 +138,61 @@ static int64_t reach(OwnSteps& scheme, double t0, int64_t k, double h, double* x
     return status;
 }
 
+typedef MemberRecorder<double, MemberConstants, AlreadyFinished> RecorderAlone;
+
+// Members of the same constants, starts and steps, one step of all after the other.
+static void advance_batch(const Loop<Stepping>& loop, BatchScheme& scheme, const int64_t* members, int64_t count) {
+    const Stepping& tables = loop.tables;
+    const Schedule& schedule = loop.schedule;
+    const Arrays& arrays = loop.arrays;
+    const int64_t n = arrays.size, row = (n + 7) / 8;
+    AlignedArray<Lanes<8>> momenta(2 * row * count);
+    double* const at = reinterpret_cast<double*>(momenta.at);
+    std::fill_n(at, 16 * row * count, 0.0);
+    AlreadyFinished nothing;
+    std::deque<RecorderAlone> recorders;
+    BatchMember batch[BatchScheme::MOST_MEMBERS];
+    int64_t left = 0;
+    for (int64_t b = 0; b < count; ++b) {
+        const int64_t member = members[b];
+        double *x = at + 16 * row * b, *dx = x + 8 * row;
+        batch[b] = {x, dx, number_of(schedule, member), arrays.status[member], 0, 0, 0.0};
+        std::copy_n(arrays.momenta + member * n, n, x);
+        std::copy_n(arrays.errors + member * n, n, dx);
+        recorders.emplace_back(loop.watch, arrays, schedule, MemberConstants{1, 0}, nothing);
+        recorders.back().begin(member, MemberConstants{1, 0}, loop.k0);
+        left += batch[b].status == DONE;
+    }
+    const double h = length_of(schedule, members[0]);
+    const int64_t work = count * (work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + scheme.work);
+    for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
+        loop.interrupts.after(work);
+        int64_t before[BatchScheme::MOST_MEMBERS];
+        for (int64_t b = 0; b < count; ++b) before[b] = batch[b].status;
+        scheme.step_batch(batch, count, start_of(schedule, members[0], k) + tables.moment[0] * h, tables.fraction[0] * h);
+        for (int64_t b = 0; b < count; ++b) {
+            if (before[b] != DONE) continue;
+            const int64_t member = members[b];
+            arrays.evaluations[member] += batch[b].evaluations;
+            arrays.iterations[member] += batch[b].iterations;
+            if (batch[b].status == DONE && !finite(n, batch[b].x)) {
+                batch[b].status = OVERFLOWED;
+                batch[b].residual = std::numeric_limits<double>::quiet_NaN();
+            }
+            if (batch[b].status != DONE) {
+                loop.fail(member, k, batch[b].status, batch[b].residual);
+                --left;
+                continue;
+            }
+            recorders[b].after(k, batch[b].x, batch[b].dx, [](int64_t, double*) { return true; });
+        }
+    }
+    for (int64_t b = 0; b < count; ++b) {
+        std::copy_n(batch[b].x, n, arrays.momenta + members[b] * n);
+        std::copy_n(batch[b].dx, n, arrays.errors + members[b] * n);
+    }
+}
+
 static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     const Stepping& tables = loop.tables;
     const Watch& watch = loop.watch;
@@ -153,8 +210,7 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     const CachedStep shared = range.stride || n > LARGEST_CACHED ? CachedStep{} : cached_step(tables, as_lanes);
     StepScheme* scheme = shared.scheme.get();
     AlreadyFinished nothing;
-    MemberRecorder<double, MemberConstants, AlreadyFinished> recorder(watch, arrays, schedule, MemberConstants{1, 0},
-                                                                      nothing);
+    RecorderAlone recorder(watch, arrays, schedule, MemberConstants{1, 0}, nothing);
     const auto advance_alone = [&](int64_t position) {
         const int64_t member = range.members[position];
         if (arrays.status[member] != DONE) return;
@@ -203,7 +259,15 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
         std::copy_n(x, n, arrays.momenta + member * n);
         std::copy_n(dx, n, arrays.errors + member * n);
     };
+    auto* const batches = dynamic_cast<BatchScheme*>(scheme);
+    const bool together = batches && as_lanes && tables.substeps == 1 && !schedule.starts && !schedule.lengths &&
+                          batches->takes_batches();
     for (int64_t position = range.first, last; position < range.last; position = last) {
+        if (together) {
+            last = std::min<int64_t>(position + BatchScheme::MOST_MEMBERS, range.last);
+            advance_batch(loop, *batches, range.members + position, last - position);
+            continue;
+        }
         last = std::min<int64_t>(position + NATIVE, range.last);
         if (as_lanes && last - position >= MIN_FILLED_LANES) {
             const int64_t* const members = range.members + position;

@@ -1,0 +1,144 @@
+"""Conjugations X -> U X U* of states that are skew-Hermitian matrices, or pairs of them, and the damping along them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.errors import IntegrationError
+
+Matrix = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+MAX_MIDPOINTS = 192  # iterations of the midpoint rule; convergent ones take some ten
+NEAR_ROUND_OFF = 2.0**-40  # of the state: corrections below it that stagnate are round-off
+
+
+def check_conjugated(system: Any, name: str) -> None:
+    """Raise ValueError unless unitary matrices conjugate the states of a system of matrices."""
+    if not system.algebra.skew:
+        raise ValueError(
+            f"{name} conjugates matrices by unitary ones, and those of {system.algebra} are not skew-Hermitian; take "
+            "LinearDamping, or a system with structure constants"
+        )
+
+
+def acting_layers(system: Any) -> int:
+    """Return the layers of the elements that move a state: two only where a carried field has a stream of its own."""
+    return 1 if system.second_stream is None else 2
+
+
+def times(system: Any, A: Matrix, B: Matrix) -> Matrix:
+    """Return products of matrices, or of pairs A0 + eps A1 with eps^2 = 0."""
+    if len(system.matrix_shape) == 2:
+        return A @ B
+    first, second = A[..., 0, :, :], A[..., 1, :, :]
+    return np.stack([first @ B[..., 0, :, :], first @ B[..., 1, :, :] + second @ B[..., 0, :, :]], axis=-3)
+
+
+def with_layers(system: Any, A: Matrix) -> Matrix:
+    """Return an element of the system from one of a single layer."""
+    return A if len(system.matrix_shape) == 2 or A.ndim == 3 else np.stack([A, np.zeros_like(A)])
+
+
+def exponential(system: Any, A: Matrix) -> Matrix:
+    """Return exp(A) of a skew-Hermitian element."""
+    first = A if A.ndim == 2 else A[0]
+    angles, V = np.linalg.eigh(-1j * first)
+    adjoint = np.conj(V.T)
+    unitary = (V * np.exp(1j * angles)) @ adjoint
+    if A.ndim == 3:
+        # Divided differences of the exponential, by the midpoint of two eigenvalues.
+        half = 0.5 * (angles[:, None] - angles[None, :])
+        divided = np.exp(0.5j * (angles[:, None] + angles[None, :])) * np.sinc(half / np.pi)
+        unitary = np.stack([unitary, V @ (divided * (adjoint @ A[1] @ V)) @ adjoint])
+    return unitary if system.complex else np.ascontiguousarray(unitary.real)
+
+
+def conjugated(system: Any, U: Matrix, X: Matrix) -> Matrix:
+    """Return U X U* for states (..., N, N) or (..., 2, N, N)."""
+    return times(system, times(system, U, X), np.conj(np.swapaxes(U, -1, -2)))
+
+
+def damping_element(system: Any, factor: float, X: Matrix, t: float) -> Matrix:
+    """Return the element A of the damping X' = [A, X]: `factor` times the dual of [Y, X]."""
+    A = factor * system.dual(system.bracket(system.stream_of(X, t), X))
+    if acting_layers(system) < len(system.matrix_shape) - 1:
+        A[..., 1, :, :] = 0.0
+    return np.asarray(A)
+
+
+def damped_midpoint(system: Any, factor: float, X: Matrix, t: float, tau: float) -> tuple[Matrix, Matrix]:
+    """Return the midpoint M = X + [A, M]/2 + A M A/4 of the damping, and its element A = tau A(M)."""
+    M, size, last = X, float(np.abs(X).max(initial=0.0)), np.inf
+    for _ in range(MAX_MIDPOINTS):
+        A = tau * damping_element(system, factor, M, t + 0.5 * tau)
+        before = M
+        M = X + 0.5 * system.bracket(A, M) + 0.25 * times(system, times(system, A, M), A)
+        change = float(np.abs(M - before).max(initial=0.0))
+        if change == 0.0 or (change >= 0.5 * last and change <= NEAR_ROUND_OFF * size):
+            return M, A
+        last = change
+    raise IntegrationError(
+        "the midpoint rule of the damping did not converge; take a smaller step", step=1, time=t, residual=last
+    )
+
+
+def damped(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Matrix:
+    """Return the state after the damping of a time tau: the Cayley transform of A conjugates it."""
+    M, A = damped_midpoint(system, factor, X, t, tau)
+    return np.asarray(X + system.bracket(A, M))
+
+
+def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Floats:
+    """Return the derivative (n, n) of `damped` along the algebra, by that of the equation of the midpoint."""
+    M, A = damped_midpoint(system, factor, X, t, tau)
+    units = system.algebra.projected(system.from_vector(np.eye(system.dim)))
+    Y, bracket = system.stream_of(M, t + 0.5 * tau), system.bracket
+    of_A = tau * factor * system.dual(bracket(system.slope_of(units), M) + bracket(Y, units))
+    if acting_layers(system) < len(system.matrix_shape) - 1:
+        of_A[..., 1, :, :] = 0.0
+    moved = bracket(of_A, M) + bracket(A, units)
+    squares = times(system, times(system, of_A, M), A) + times(system, times(system, A, units), A)
+    squares = squares + times(system, times(system, A, M), of_A)
+    of_X = system.to_vector(np.asarray(system.from_vector(np.eye(system.dim))) - 0.5 * moved - 0.25 * squares).T
+    inverse = np.linalg.inv(of_X) @ system.to_vector(units).T
+    return np.asarray(system.to_vector(units).T + system.to_vector(moved).T @ inverse)
+
+
+def conjugation_tangent(system: Any, U: Matrix) -> Floats:
+    """Return the derivative (n, n) of a conjugation along the algebra."""
+    units = system.algebra.projected(system.from_vector(np.eye(system.dim)))
+    return np.asarray(system.to_vector(conjugated(system, U, units)).T)
+
+
+def adjoint_casimir(block: Any) -> float:
+    """Return c of a block u(N), su(N) or so(N): - sum_k [E_k, [E_k, A]] = c A, E_k an orthonormal basis, tr A = 0."""
+    return float(2 * block.N if block.complex else block.N - 2)
+
+
+def blocks_of_rows(algebra: Any) -> npt.NDArray[np.int64]:
+    """Return the number of the diagonal block of each row."""
+    rows = np.zeros(algebra.N, dtype=np.int64)
+    for k, (part, _, _) in enumerate(algebra.parts):
+        rows[part] = k
+    return rows
+
+
+def gaussian_element(algebra: Any, deviates: Floats, variance: float, corrected: bool) -> Matrix:
+    """Return a Gaussian element of a skew-Hermitian algebra, from N^2 normal deviates.
+
+    Its components have a variance, with a correction by which one exponential has weak order two.
+    """
+    # E exp(Z) differs from exp(v L/2), L the Laplacian, by c v^2 L/48: sums of products k l k l and k l l k of basis
+    # elements are those of k k l l plus c/2 L and 0, and a variance v - c v^2/24 removes the difference.
+    A = np.zeros(algebra.shape, dtype=np.complex128 if algebra.complex else np.float64)
+    for rows, block, _ in algebra.parts:
+        g = deviates.reshape(algebra.shape)[rows, rows]
+        lower = np.tril(g, -1) + (1j * np.triu(g, 1).T if block.complex else 0.0)
+        part = np.sqrt(0.5) * (lower - np.conj(lower.T)) + (1j * np.diag(np.diagonal(g)) if block.complex else 0.0)
+        c = adjoint_casimir(block) if corrected else 0.0
+        A[rows, rows] = np.sqrt(variance / (1.0 + variance * c / 24.0)) * part
+    return A
