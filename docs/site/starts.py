@@ -55,6 +55,7 @@ x0 = system.state(
 )""",
     "separable_cosh": SPHERE.format(count=16, factor="3 * "),
     "sphere_euler": "x0 = system.zonal_jet(band=(0.2, 1.2), perturbation=0.1)",
+    "sphere_qg": "x0 = system.zonal_jet(band=(0.2, 1.2), perturbation=0.1)",
     "spin_lattice": """\
 x, y = np.indices((18, 18)) - 8.5
 angle, tilt = np.pi / 2, 0

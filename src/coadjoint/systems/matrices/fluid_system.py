@@ -187,6 +187,13 @@ class FluidSystem(MatrixSystem):
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Complexes:
         """Return the matrix of values at the points of a grid given by its coordinates, in radians."""
 
+    mean_factor: float
+    """The mean of a field over its mode 0."""
+
+    @abstractmethod
+    def modes_with_mean(self, values: Floats, first: Floats | None = None, second: Floats | None = None) -> Complexes:
+        """Return the mode array of values at the points of a grid, by default that of `grid`, with the mode 0."""
+
     def relative(self, W: Any) -> Complexes:
         """Return the matrix of the vorticity relative to the rotating frame, from a state W or from such a matrix."""
         return np.array(self.matrices(W))
@@ -236,7 +243,7 @@ class FluidSystem(MatrixSystem):
         return np.arange(1, count, dtype=np.int64), np.asarray(sums[..., 1:], dtype=np.float64)
 
 
-def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str) -> GalleryEntry:
+def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str, **parameters: float) -> GalleryEntry:
     """Return the gallery entry of a fluid whose unstable jets break up into vortices."""
     return GalleryEntry(
         x0=x0,
@@ -250,7 +257,7 @@ def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str) -> GalleryEntry:
             Picture("eigenvalues"),
         ),
         components=Picture("energy by scale"),
-        parameters={"N": N},
+        parameters={"N": N, **parameters},
         save_every=20,
         quantity="vorticity",
     )

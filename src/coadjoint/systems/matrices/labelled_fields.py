@@ -59,12 +59,24 @@ def labelled_field(field: xarray.DataArray, surface: str, name: str) -> Labelled
     if axes[0] == axes[1]:
         raise ValueError(f"both coordinates of {name} are along {short(axes[0])}; give values over two dimensions")
     rest = [axis for axis in field.dims if axis not in axes]
+    _check_gaps(field, name)
     values = read_finite(field.transpose(*rest, *axes).to_numpy(), name)
     (rows, of_rows), (columns, of_columns) = (_radians(one, name) for one in (first, second))
     if surface == "torus":
         rows = np.unwrap(rows)
     # Longitudes may begin again in the middle, as those from -180 of a field whose columns begin at 0.
     return LabelledField(values, rows, np.unwrap(columns), of_rows + of_columns)
+
+
+def _check_gaps(field: xarray.DataArray, name: str) -> None:
+    """Raise ValueError for NaN, as over land, with the coordinates of the first one."""
+    gaps = np.argwhere(field.isnull().to_numpy()) if field.dtype.kind == "f" else np.zeros((0, 0))
+    if len(gaps):
+        first = dict(zip(field.dims, gaps[0].tolist(), strict=True))
+        place = ", ".join(f"{axis} = {field[axis].to_numpy()[index]}" for axis, index in first.items())
+        raise ValueError(
+            f"{name} is NaN at {len(gaps)} points, first at {place}; fill them, such as land by the field's fillna(0.0)"
+        )
 
 
 def is_absolute(field: xarray.DataArray) -> bool | None:
