@@ -17,7 +17,7 @@ from coadjoint.systems.fluids.torus_euler import TorusEuler, squared_wavenumbers
 from coadjoint.systems.matrices import sphere_states
 from coadjoint.systems.matrices.fluid_system import FluidSystem, RelativeVorticity, entry_of_fluid
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.matrices.spherical_modes import generators, harmonics_of_matrix, laplacian, matrix_of_harmonics
+from coadjoint.systems.matrices.spherical_modes import generators, laplacian, matrix_of_harmonics
 from coadjoint.systems.matrices.streams import DiagonalSolve, HarmonicStream, ScreenedSolve, tridiagonal_product
 from coadjoint.systems.matrices.topography import modes_of_rows, plain_rows, topography_rows
 from coadjoint.systems.registry import ready_made
@@ -114,11 +114,10 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
 
     def __init__(self, N: int, lamb: float, rotation: float, topography: Any, gamma: float) -> None:
         self.lamb, self.gamma = lamb, gamma
-        self.topography = None if topography is None else topography_rows(topography, sphere_euler(N))
-        height = np.zeros((N, N), dtype=np.complex128)
-        if self.topography is not None:
-            height = harmonics_of_matrix(sphere_euler(N).from_modes(modes_of_rows(self.topography)))
-        field = 2.0 * rotation * sine_times(height)
+        fluid = sphere_euler(N)
+        self.topography = None if topography is None else topography_rows(topography, fluid)
+        modes = {} if self.topography is None else modes_of_rows(self.topography)
+        field = 2.0 * rotation * sine_times(fluid.read_modes(modes))
         self.planetary_mean = float(field[0, 0].real) / sqrt(4 * pi)
         planetary = matrix_of_harmonics(field) - 2.0 * rotation * generators(N)[2]
         self._unscreened = DiagonalSolve(*laplacian(N), factor=-1.0)

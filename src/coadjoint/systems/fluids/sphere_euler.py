@@ -121,7 +121,7 @@ class SphereEuler(FluidSystem):
         >>> list(modes), bool(abs(modes[3, -2] - (0.5 + 1j)) < 1e-14)
         ([(3, -2), (3, 2)], True)
         """
-        return self._state(matrix_of_harmonics(read_harmonics(modes, self.algebra.N)), absolute, "from_modes")
+        return self._state(matrix_of_harmonics(self.read_modes(modes)), absolute, "from_modes")
 
     def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
         """Return the coefficients of one state by (l, m) that are nonzero beyond round-off.
@@ -242,6 +242,9 @@ class SphereEuler(FluidSystem):
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         return matrix_of_harmonics(self.modes_with_mean(values, first, second))
+
+    def read_modes(self, modes: Any) -> Matrix:
+        return read_harmonics(modes, self.algebra.N)
 
     mean_factor = 1 / sqrt(4 * pi)
 

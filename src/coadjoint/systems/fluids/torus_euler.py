@@ -119,7 +119,7 @@ class TorusEuler(FluidSystem):
         >>> bool(abs(s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2] - (0.5 + 1j)) < 1e-15)
         True
         """
-        W = self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
+        W = self.algebra.projected(matrix_of_modes(self.read_modes(modes)))
         return self._state(W, absolute, "from_modes")
 
     def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
@@ -204,6 +204,9 @@ class TorusEuler(FluidSystem):
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         return self.algebra.projected(matrix_of_modes(self.modes_with_mean(values, first, second)))
+
+    def read_modes(self, modes: Any) -> Matrix:
+        return read_modes(modes, self.algebra.N)
 
     mean_factor = 1.0
 

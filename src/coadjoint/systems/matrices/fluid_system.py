@@ -187,6 +187,10 @@ class FluidSystem(MatrixSystem):
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Complexes:
         """Return the matrix of values at the points of a grid given by its coordinates, in radians."""
 
+    @abstractmethod
+    def read_modes(self, modes: Any) -> Complexes:
+        """Validate modes, as for `from_modes`, and return them in the form of `mode_array`."""
+
     mean_factor: float
     """The mean of a field over its mode 0."""
 

@@ -39,7 +39,7 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") 
     `surface` is a fluid without rotation on the same surface and of the same N, which converts fields.
     """
     if isinstance(given, Mapping):
-        return _rows(surface.mode_array(surface.from_modes(given)), surface)
+        return _rows(surface.read_modes(given), surface)
     if callable(given) and not is_xarray(given):
         given = _values_of(given, surface)
     elif isinstance(given, str | Path):
@@ -63,7 +63,7 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") 
         modes = {(int(a), int(b)): complex(*row[2:]) for (a, b), row in zip(whole, values, strict=True)}
         if len(modes) < len(values):
             raise ValueError("topography has a mode twice; give each once")
-        return _rows(surface.mode_array(surface.from_modes(modes)), surface)
+        return _rows(surface.read_modes(modes), surface)
     shape = tuple(map(len, surface.grid()))
     if values.shape != shape:
         raise ValueError(
