@@ -150,7 +150,8 @@ def test_three_fields_of_a_state(name):
     assert np.abs(np.asarray(s.relative(W)) - euler.random(3)).max() < ROUNDED * size
     assert s.energy(s.relative(W)) == pytest.approx(s.energy(W), rel=1e-12)
     dataset = co.integrate(s, W, (0, 0.01), 0.01, MIDPOINT).to_xarray()
-    assert np.abs(s.from_grid(dataset.vorticity.isel(time=0)) - W).max() < ROUNDED * size
+    for name in ("vorticity", "potential_vorticity", "stream_function"):
+        assert np.abs(s.from_grid(dataset[name].isel(time=0)) - W).max() < ROUNDED * size
 
 
 def topographic_waves(m, lamb, omega, height, count=60):
@@ -283,7 +284,72 @@ def test_topography_from_every_source(tmp_path):
     assert np.abs(shown - wanted).max() < ROUNDED * np.abs(wanted).max()
 
 
-def test_what_cannot_be_used_is_refused(tmp_path):
+EARTH = S.Planet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
+
+
+def test_a_planet_in_si_units():
+    """Its numbers by their definitions, in other units of time, and of one that turns to the west."""
+    omega = 2 * np.pi / 86164.1
+    assert EARTH.rotation == pytest.approx(2 * np.pi, rel=1e-15)
+    assert EARTH.lamb == pytest.approx(4 * omega**2 * 6.371e6**2 / (9.81 * 2000.0), rel=1e-14)
+    assert EARTH.deformation_radius == pytest.approx(np.sqrt(9.81 * 2000.0) / (2 * omega), rel=1e-14)
+    assert EARTH.rossby_number(10.0) == pytest.approx(10.0 / (2 * omega * 6.371e6), rel=1e-14)
+    west = S.Planet(6.371e6, -86164.1, 9.81, 2000.0, time=3600.0)
+    assert west.rotation == pytest.approx(-omega * 3600.0, rel=1e-14) and west.lamb == EARTH.lamb
+    for arguments, name in (
+        ((0.0, 1.0, 1.0, 1.0), "radius"),
+        ((1.0, 0.0, 1.0, 1.0), "day"),
+        ((1.0, 1.0, 1.0, -1.0), "depth"),
+    ):
+        with refused(ValueError, name):
+            S.Planet(*arguments)
+
+
+def test_a_restart_from_another_model(tmp_path):
+    """Vorticities in s-1 on a Gaussian grid, of float32, and the fields of a run in SI units, each in one call."""
+    xarray = pytest.importorskip("xarray")
+    s = S.sphere_qg(12, EARTH.lamb, EARTH.rotation, ISLAND)
+    W = s.random(1, energy=1e-3)
+    latitude, east = s.grid((20, 40), "gauss-legendre")
+    shown = {
+        "vor": s.to_grid(W, (20, 40), "gauss-legendre"),
+        "q": s.to_grid(W, (20, 40), "gauss-legendre", absolute=True) + s.planetary_mean,
+    }
+    coordinates = {
+        "lat": ("lat", np.degrees(latitude), {"units": "degrees_north"}),
+        "lon": ("lon", np.degrees(east), {"units": "degrees_east"}),
+    }
+    for name, values in shown.items():
+        field = (values / 86164.1)[None].astype("f4")
+        dataset = xarray.Dataset({name: (("time", "lat", "lon"), field, {"units": "s-1"})}, coordinates)
+        dataset.to_netcdf(tmp_path / f"{name}.nc", engine="h5netcdf")
+        again = s.from_file(tmp_path / f"{name}.nc", planet=EARTH)
+        assert np.abs(again - W).max() < 1e-6 * np.abs(W).max()
+        with refused(ValueError, name, "s-1", "planet"):
+            s.from_file(tmp_path / f"{name}.nc")
+        with refused(ValueError, name, "s-1", "planet"):
+            s.from_grid(dataset[name])
+    humid = dataset.q.isel(time=0).assign_attrs(units="kg kg-1")
+    with refused(ValueError, "q", "kg kg-1"):
+        EARTH.without_units(humid)
+    with pytest.warns(UserWarning, match="mean"):
+        s.from_grid(EARTH.without_units(dataset.q.isel(time=0) + 1e-5), absolute=True)
+    run = co.integrate(s, W, (2.0, 2.5), 0.125, MIDPOINT)
+    found = EARTH.with_units(run.to_xarray())
+    found.to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    assert found.time.attrs["units"] == "s" and float(found.time[-1]) == pytest.approx(2.5 * 86164.1)
+    for name, units in (("vorticity", "s-1"), ("potential_vorticity", "s-1"), ("stream_function", "m2 s-1")):
+        assert found[name].attrs["units"] == units and found[name].attrs["cell_methods"] == "time: point"
+        last = s.from_file(tmp_path / "run.nc", variable=name, select={"time": -1}, planet=EARTH)
+        assert np.abs(last - run.x[-1]).max() < ROUNDED * np.abs(W).max()
+    heights = xarray.DataArray(np.full((13, 12), 20.0), {"lat": np.linspace(-90, 90, 13), "lon": np.arange(0, 360, 30)})
+    heights = heights * np.sin(np.radians(heights.lat))
+    flat = S.sphere_qg(12, 10.0, 1.0, EARTH.without_units(heights.assign_attrs(units="m")))
+    wanted = S.sphere_qg(12, 10.0, 1.0, {(1, 0): 0.01 * np.sqrt(4 * np.pi / 3)})
+    assert np.abs(flat.planetary - wanted.planetary).max() < ROUNDED * np.abs(wanted.planetary).max()
+
+
+def test_what_cannot_be_used_is_refused():
     """Topographies without coordinates, in metres, with NaN or a mean; parameters below zero; small matrices."""
     xarray = pytest.importorskip("xarray")
     east, north = np.arange(0.0, 360.0, 30.0), np.linspace(-90.0, 90.0, 13)
@@ -293,7 +359,7 @@ def test_what_cannot_be_used_is_refused(tmp_path):
         ({"lamb": -1.0}, ("lamb", "-1")),
         ({"gamma": -1.0}, ("gamma", "-1")),
         ({"topography": np.zeros((5, 7))}, ("topography", "(5, 7)", "coordinates")),
-        ({"topography": field.assign_attrs(units="m")}, ("topography", "depth")),
+        ({"topography": field.assign_attrs(units="m")}, ("topography", "units m", "depth")),
         ({"topography": field.where(field.lat < 60.0)}, ("NaN", "lat", "60", "lon")),
         ({"topography": field.drop_vars("lon")}, ("height", "lon")),
         ({"topography": [[2, 1, 0.1, 0.0], [2, 1, 0.1, 0.0]]}, ("topography", "twice")),

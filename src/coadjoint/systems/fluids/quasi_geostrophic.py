@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from math import ceil, pi, sqrt
 from typing import Any
@@ -16,6 +16,13 @@ from coadjoint.systems.fluids.sphere_euler import MAX_N, MAX_ROTATION, SphereEul
 from coadjoint.systems.fluids.torus_euler import TorusEuler, squared_wavenumbers, stream_of_modes, torus_euler
 from coadjoint.systems.matrices import sphere_states
 from coadjoint.systems.matrices.fluid_system import FluidSystem, RelativeVorticity, entry_of_fluid
+from coadjoint.systems.matrices.labelled_fields import (
+    BUOYANCY,
+    POTENTIAL_VORTICITY,
+    STATE,
+    STREAM,
+    STREAM_FUNCTION,
+)
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.spherical_modes import generators, laplacian, matrix_of_harmonics
 from coadjoint.systems.matrices.streams import DiagonalSolve, HarmonicStream, ScreenedSolve, tridiagonal_product
@@ -41,19 +48,21 @@ class QuasiGeostrophic(FluidSystem):
     """Modes of h as rows: two numbers of a mode, real and imaginary part."""
     planetary: Matrix
     """The matrix of q at rest."""
+    planetary_mean: float
+    """The mean of q."""
+
+    @property
+    def shown_fields(self) -> dict[str, tuple[str, Callable[[Any], Any], float]]:
+        return {
+            **super().shown_fields,
+            "potential_vorticity": (POTENTIAL_VORTICITY, self.matrices, self.planetary_mean),
+            "stream_function": (STREAM_FUNCTION, self.stream_of, 0.0),
+        }
+
+    def _mean_of(self, kind: str | None) -> float | None:
+        return None if kind == STREAM else self.planetary_mean if kind == STATE else 0.0
 
     def from_stream(self, P: Any) -> Matrix:
-        """Return the state of a stream function, given by matrices (..., N, N); inverse of `stream_of`.
-
-        Parameters
-        ----------
-        P : (..., N, N) array
-            Such as ``from_grid(psi, absolute=True)``, ``from_modes(modes, absolute=True)``.
-
-        Returns
-        -------
-        (..., N, N) array
-        """
         return np.asarray(self._anomaly(self.matrices(P)) + self.planetary)
 
     def _anomaly(self, P: Matrix) -> Matrix:
@@ -261,6 +270,7 @@ class TorusQG(QuasiGeostrophic, TorusEuler):
         modes = {} if self.topography is None else modes_of_rows(self.topography)
         self.planetary = fluid.from_modes(modes)
         self.planetary.flags.writeable = False
+        self.planetary_mean = 0.0
         self._squares = squared_wavenumbers(N)
         self._unscreened: Any = fluid.stream
         stream = stream_of_modes(N, self._squares + gamma)
@@ -283,7 +293,9 @@ class SurfaceQG(FluidSystem):
     Modes, grids, files and initial states are of the buoyancy q. `stream_of` is psi.
     """
 
-    field_name = "buoyancy"
+    @property
+    def shown_fields(self) -> dict[str, tuple[str, Callable[[Any], Any], float]]:
+        return {"buoyancy": (BUOYANCY, self.matrices, 0.0)}
 
     @property
     def energy_weights(self) -> Floats:

@@ -13,7 +13,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.labels import is_xarray
 from coadjoint.long_operations import warn_caller
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.labelled_fields import labelled_field, read_field
+from coadjoint.systems.matrices.labelled_fields import WITHOUT_UNITS, labelled_field, read_field, units_of
 from coadjoint.validation import read_finite, read_numbers, to_array
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ ROUNDING = 1e-14
 """Relative to the largest mode: smaller ones are round-off."""
 MEAN_TOLERANCE = 1e-6
 """Relative to the largest value, for fields of float32."""
-LENGTHS = ("m", "metre", "metres", "meter", "meters", "km", "kilometre", "kilometres", "kilometer", "kilometers")
 FORMS = (
     "a function of the two coordinates in radians, modes, an xarray.DataArray with coordinates, a NetCDF file, or an "
     "array in the order of grid()"
@@ -45,11 +44,10 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") 
     elif isinstance(given, str | Path):
         given = read_field(given, surface.surface, None, None)
     if is_xarray(given):
-        units = str(given.attrs.get("units", "")).lower()
-        if quantity == "height" and units in LENGTHS:
+        if units_of(given) not in WITHOUT_UNITS:
             raise ValueError(
-                f"topography has the units {units}; it is relative to the mean depth of the fluid: divide it by this "
-                "depth, and remove or correct the attribute units"
+                f"topography has the units {units_of(given)}; give the height over the mean depth of the fluid, as "
+                "Planet.without_units returns it from metres"
             )
         values, first, second, _ = labelled_field(given, surface.surface, str(given.name or "topography"))
         if values.ndim != 2:
