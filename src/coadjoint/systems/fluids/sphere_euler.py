@@ -253,7 +253,9 @@ class SphereEuler(FluidSystem):
         if first is not None and second is not None:
             north, points, east = spherical_modes.grid_orientation(first, second)
             values, start = values[..., ::north, ::east], float(second[::east][0])
-        return spherical_modes.coefficients_of(values, self.algebra.N, points, start)
+        c = spherical_modes.coefficients_of(values, self.algebra.N, points, start)
+        c[..., :, 0].imag = 0.0  # round-off
+        return c
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return the kinetic energy of the relative motion, of matrices (..., N, N) or of vectors."""

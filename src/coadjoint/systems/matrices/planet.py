@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import is_xarray
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.labelled_fields import (
     POTENTIAL_VORTICITY,
@@ -16,7 +19,8 @@ from coadjoint.systems.matrices.labelled_fields import (
     WITHOUT_UNITS,
     units_of,
 )
-from coadjoint.validation import read_number, read_positive, set_fields
+from coadjoint.systems.matrices.spherical_modes import coefficients_of, latitudes, longitudes
+from coadjoint.validation import read_number, read_path, read_positive, set_fields
 
 if TYPE_CHECKING:
     import xarray
@@ -25,6 +29,18 @@ RATES = ("s-1", "s**-1", "s^-1", "1/s", "/s", "per second", "s^{-1}")
 DIFFUSIVITIES = ("m2 s-1", "m**2 s**-1", "m^2/s", "m2/s", "m^2 s^-1", "m**2/s")
 METRES = ("m", "metre", "metres", "meter", "meters")
 KILOMETRES = ("km", "kilometre", "kilometres", "kilometer", "kilometers")
+
+
+MOUNTAINS = ((45.0, 250.0, 12.0, 0.1), (35.0, 90.0, 15.0, 0.1), (-30.0, 290.0, 8.0, 0.06), (-55.0, 60.0, 20.0, -0.1))
+"""Latitude, longitude and width in degrees, and height over the depth, of the mountains of an example."""
+
+
+def unit_vectors(latitude: Any, longitude: Any) -> Any:
+    """Return points of the unit sphere, (..., 3)."""
+    across = np.cos(latitude)
+    return np.stack(
+        [across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude) + 0.0 * longitude], axis=-1
+    )
 
 
 @suggest_keywords
@@ -150,6 +166,53 @@ class Planet:
             )
         found: xarray.DataArray = (field * scales[units]).assign_attrs({**field.attrs, "units": "1"})
         return found.rename(field.name)
+
+    def example_topography(self, path: Any) -> xarray.DataArray:
+        """Write a small NetCDF file of mountains, in metres about the mean depth, and return the field.
+
+        Two ranges, an island and a basin of a tenth of the depth, every 2.5 degrees, for examples and tests.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file, which ends with ``.nc``; an older one is replaced.
+
+        Returns
+        -------
+        xarray.DataArray
+            Over latitude and longitude, with the standard name of CF.
+
+        Raises
+        ------
+        MissingPackageError
+            xarray, h5netcdf or ducc0 is not installed.
+        """
+        require_packages("a topography", "xarray", "h5netcdf", "ducc0")
+        import xarray
+
+        latitude, east = latitudes("clenshaw-curtis", 73), longitudes(144)
+        here = unit_vectors(*np.meshgrid(latitude, east, indexing="ij"))
+        field = np.zeros(here.shape[:2])
+        for north, centre, width, height in MOUNTAINS:
+            there = unit_vectors(np.radians(north), np.radians(centre))
+            field += height * self.depth * np.exp((here @ there - 1.0) / np.radians(width) ** 2)
+        field -= coefficients_of(field, 2, "clenshaw-curtis")[0, 0].real / np.sqrt(4 * np.pi)
+        about = {"standard_name": "surface_altitude", "long_name": "height about the mean depth", "units": "m"}
+        found = xarray.DataArray(
+            field,
+            {
+                name: ((name,), np.round(np.degrees(values), 12), {"standard_name": name, "units": units})
+                for name, values, units in (
+                    ("latitude", latitude, "degrees_north"),
+                    ("longitude", east, "degrees_east"),
+                )
+            },
+            ("latitude", "longitude"),
+            "height",
+            about,
+        )
+        found.to_netcdf(read_path(path, "path"), engine="h5netcdf")
+        return found
 
     def with_units(self, dataset: xarray.Dataset) -> xarray.Dataset:
         """Return the fields of a dataset of a run in SI units, with standard names of CF.
