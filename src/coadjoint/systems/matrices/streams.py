@@ -205,7 +205,7 @@ class ScreenedSolve(DiagonalSolve):
         from scipy.linalg import eigh_tridiagonal
 
         values, vectors = eigh_tridiagonal(self.main[:n, m], self.beside[1:n, m])
-        return values, vectors
+        return np.asarray(values, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
 
 
 def squared_sine(N: int) -> tuple[Floats, Floats]:
