@@ -379,3 +379,31 @@ def test_what_cannot_be_used_is_refused():
         with pytest.warns(UserWarning, match=f"N = {needed} resolves"):
             make(needed - 2)
         make(needed)
+
+
+@pytest.mark.parametrize("energy", [1e-3, 0.5, 5.0])
+@pytest.mark.parametrize("lamb, gamma", [(10.0, 0.0), (0.0, 0.0), (8.0, 3.0)])
+def test_states_of_minimum_enstrophy(lamb, gamma, energy):
+    """They are steady, and other states of the same energy have more enstrophy."""
+    s = S.sphere_qg(10, lamb, 2.0, ISLAND, gamma)
+    W = s.minimum_enstrophy(energy)
+    assert s.energy(W) == pytest.approx(energy, rel=1e-10)
+    assert np.abs(s.vector_field(W)).max() < ROUNDED * np.abs(W).max()
+    least = s.enstrophy_spectrum(W, absolute=True)[1].sum()
+    V, rng = W - s.planetary, np.random.default_rng(1)
+    for size in (1e-3, 0.1, 1.0):
+        for _ in range(20):
+            noise = s.algebra.projected(rng.standard_normal(s.shape) + 1j * rng.standard_normal(s.shape))
+            other = V + size * np.abs(V).max() * noise
+            other *= np.sqrt(energy / s.energy(other + s.planetary))
+            assert s.enstrophy_spectrum(other + s.planetary, absolute=True)[1].sum() > least
+
+
+def test_energies_without_a_state_of_minimum_enstrophy_are_refused():
+    """Beyond the largest one, where waves of order 1 are gravest, and without rotation."""
+    s = S.sphere_qg(10, 10.0, 2.0)
+    with refused(ValueError, "energy", "100"):
+        s.minimum_enstrophy(100.0)
+    with refused(ValueError, "energy", "up to 0"):
+        S.sphere_qg(10, 10.0).minimum_enstrophy(1.0)
+    assert S.sphere_qg(10, 0.0, 2.0).minimum_enstrophy(100.0).shape == (10, 10)

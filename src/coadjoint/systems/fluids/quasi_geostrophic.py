@@ -28,8 +28,10 @@ from coadjoint.systems.matrices.spherical_modes import generators, laplacian, ma
 from coadjoint.systems.matrices.streams import DiagonalSolve, HarmonicStream, ScreenedSolve, tridiagonal_product
 from coadjoint.systems.matrices.topography import modes_of_rows, plain_rows, topography_rows
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice, read_integer, read_nonnegative, read_number
+from coadjoint.validation import read_choice, read_integer, read_nonnegative, read_number, read_positive
 
+KAPPA_BITS = -24.0, 40.0
+"""Binary digits of the range in which the Lagrange multiplier of the energy is searched, well above round-off."""
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
 
@@ -218,6 +220,75 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
     def _wave_vectors(self, m: int) -> tuple[Floats, Floats]:
         assert isinstance(self.stream, ScreenedSolve)
         return self.stream.eigenmodes(m)
+
+    def minimum_enstrophy(self, energy: float) -> Matrix:
+        """Return the steady state of the least potential enstrophy, the integral of q^2/2, of an energy.
+
+        It is the state ``q = kappa psi + d`` with the largest kappa, to which selective decay leads. With topography it
+        is a flow along the contours of q at rest; without, it is zonal.
+
+        Parameters
+        ----------
+        energy : float
+            As `energy` of states returns it, positive.
+
+        Returns
+        -------
+        (N, N) array
+
+        Raises
+        ------
+        ValueError
+            There is no such state: no rotation, or an energy beyond the largest one, above which the least enstrophy is
+            that of waves of any phase on this flow.
+
+        Notes
+        -----
+        F. P. Bretherton, D. B. Haidvogel, J. Fluid Mech. 78 (1976) 129.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> s = sphere_qg(N=12, lamb=10.0, rotation=2.0, topography={(3, 2): 0.1})
+        >>> W = s.minimum_enstrophy(0.01)
+        >>> round(s.energy(W), 12), bool(np.abs(s.vector_field(W)).max() < 1e-12)
+        (0.01, True)
+        """
+        wanted, lowest = read_positive(energy, "energy"), self._lowest_eigenvalue()
+        # kappa + lowest, relative to lowest, from where waves are free to where the flow is almost at rest
+        ends = np.log(2.0) * np.array(KAPPA_BITS)
+
+        def at(logarithm: float) -> Matrix:
+            return self._along_stream(lowest * float(np.expm1(logarithm)))
+
+        least, most = (self.energy(at(float(end))) for end in ends[::-1])
+        if not least < wanted < most:
+            raise ValueError(
+                f"energy is {wanted:g}; with this rotation and topography, states of minimum enstrophy have energies "
+                f"up to {abs(most):.3g}"
+            )
+        from scipy.optimize import brentq
+
+        return at(brentq(lambda logarithm: np.log(self.energy(at(logarithm)) / wanted), *ends, xtol=1e-15, rtol=1e-15))
+
+    def _along_stream(self, kappa: float) -> Matrix:
+        """Return the state ``q = kappa psi + d`` whose psi has the mean of states."""
+        assert isinstance(self.stream, ScreenedSolve)
+        N = self.algebra.N
+        solve, one = DiagonalSolve(self.stream.main + kappa, self.stream.beside), 1j * np.eye(N)
+        P, of_one, d = solve(self.planetary), solve(one), 0.0
+        if self.lamb:  # else the mean of P is zero already
+            d = float(-kappa * np.trace(P).imag / (N - kappa * np.trace(of_one).imag))
+        return np.asarray(kappa * (P - d * of_one) + d * one)
+
+    def _lowest_eigenvalue(self) -> float:
+        """Return the smallest eigenvalue of the inverse of minus the stream, whose matrices have trace zero."""
+        assert isinstance(self.stream, ScreenedSolve)
+        N = self.algebra.N
+        columns = np.zeros((N, N, N), dtype=np.complex128)
+        columns[np.arange(N), np.arange(N), np.arange(N)] = 1j
+        zonal = np.diagonal(self.stream(columns), 0, -2, -1).imag
+        return float(min(-1.0 / np.linalg.eigvalsh(zonal)[0], self.stream.eigenmodes(1)[0][0]))
 
     def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
         """Raise TypeError: no closed form is registered; `rossby_wave` with `rossby_speed` is one."""
