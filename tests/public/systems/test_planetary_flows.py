@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import elliprd, eval_legendre, pro_cv, sph_harm_y
 
 import coadjoint as co
+from command import command
 from refusals import refused
 
 S = co.systems
@@ -407,3 +408,61 @@ def test_energies_without_a_state_of_minimum_enstrophy_are_refused():
     with refused(ValueError, "energy", "up to 0"):
         S.sphere_qg(10, 10.0).minimum_enstrophy(1.0)
     assert S.sphere_qg(10, 0.0, 2.0).minimum_enstrophy(100.0).shape == (10, 10)
+
+
+def test_lines_of_a_torus_with_topography():
+    """The explicit splitting has its order with a constant added to the stream, and keeps the spectrum."""
+    s, W = BASIN, BASIN.random(3)
+    wanted = solve_ivp(field_of(s), (0, 1), s.to_vector(W), "DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    errors = []
+    for h in (1 / 16, 1 / 32):
+        sol = co.integrate(s, W, (0, 1), h, co.LineSplitting(2), save_every=10**4)
+        errors.append(np.abs(s.to_vector(sol.x[-1]) - wanted).max())
+        assert np.abs(s.spectrum(sol.x[-1]) - s.spectrum(W)).max() < ROUNDED * np.abs(s.spectrum(W)).max()
+    assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+@pytest.mark.parametrize("name", ["planet", "basin", "surface of a sphere"])
+def test_archives_of_interrupted_runs(name, tmp_path):
+    """A run that is stored, and resumed from its archive, has the bits of a run in memory."""
+    s = FLOWS[name].with_forces(co.forces.Friction(0.1), co.forces.RandomForcing(0.1, (2, 4), seed=2))
+    W = FLOWS[name].random(1)
+    whole = co.integrate(s, W, (0, 2), 0.125, MIDPOINT)
+    co.integrate(s, W, (0, 1), 0.125, MIDPOINT, archive=tmp_path / "run.zarr")
+    resumed = co.resume(tmp_path / "run.zarr", 2.0)
+    np.testing.assert_array_equal(resumed.x[-1], whole.x[-1])
+    again = co.load(tmp_path / "run.zarr").system.unforced
+    np.testing.assert_array_equal(again.stream_of(W), FLOWS[name].stream_of(W))
+    if name != "surface of a sphere":
+        assert again.parameters == FLOWS[name].parameters
+
+
+def test_configuration_files(tmp_path, capsys):
+    """Topography as rows of modes, and a restart in SI units, with the planet as a table."""
+    xarray = pytest.importorskip("xarray")
+    W = PLANET.random(1, energy=1e-3)
+    latitude, east = PLANET.grid()
+    field = (("lat", "lon"), PLANET.to_grid(W) / 86164.1, {"units": "s-1"})
+    coordinates = {"lat": np.degrees(latitude), "lon": np.degrees(east)}
+    xarray.Dataset({"vor": field}, coordinates).to_netcdf(tmp_path / "vor.nc", engine="h5netcdf")
+    rows = [[l, m, complex(c).real, complex(c).imag] for (l, m), c in ISLAND.items()]
+    (tmp_path / "run.toml").write_text(
+        f"""
+        [system]
+        name = "sphere_qg"
+        parameters = {{N = 12, lamb = 10.0, rotation = 2.0, topography = {rows}}}
+        [initial]
+        kind = "from_file"
+        path = "vor.nc"
+        planet = {{radius = 6.371e6, day = 86164.1, gravity = 9.81, depth = 2000.0}}
+        [method]
+        name = "IsospectralGauss"
+        [run]
+        t_span = [0.0, 0.5]
+        step = 0.125
+        """
+    )
+    assert command(capsys, "run", tmp_path / "run.toml", "--out", tmp_path / "run.nc", "--quiet").status == 0
+    found = co.load(tmp_path / "run.nc")
+    wanted = co.integrate(PLANET, W, (0, 0.5), 0.125, MIDPOINT)
+    assert np.abs(found.x - wanted.x).max() < ROUNDED * np.abs(W).max()

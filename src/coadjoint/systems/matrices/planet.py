@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING, Any
@@ -20,7 +22,7 @@ from coadjoint.systems.matrices.labelled_fields import (
     units_of,
 )
 from coadjoint.systems.matrices.spherical_modes import coefficients_of, latitudes, longitudes
-from coadjoint.validation import read_number, read_path, read_positive, set_fields
+from coadjoint.validation import check_parameters, read_number, read_path, read_positive, set_fields
 
 if TYPE_CHECKING:
     import xarray
@@ -268,7 +270,12 @@ class Planet:
 
 
 def read_planet(value: Any) -> Planet:
-    """Validate a planet."""
+    """Validate a planet, which is a table of its parameters in configuration files."""
+    if isinstance(value, Mapping):
+        parameters = inspect.signature(Planet).parameters
+        required = [key for key, one in parameters.items() if one.default is inspect.Parameter.empty]
+        check_parameters("planet", value, parameters, required)
+        return Planet(**value)
     if not isinstance(value, Planet):
         raise TypeError(f"planet is {short(value)}; give a Planet(radius, day, gravity, depth)")
     return value
