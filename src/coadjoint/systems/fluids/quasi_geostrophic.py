@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import ceil, pi, sqrt
+from math import ceil, expm1, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -256,12 +256,15 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         """
         wanted, lowest = read_positive(energy, "energy"), self._lowest_eigenvalue()
         # kappa + lowest, relative to lowest, from where waves are free to where the flow is almost at rest
-        ends = np.log(2.0) * np.array(KAPPA_BITS)
+        first, last = (bits * log(2.0) for bits in KAPPA_BITS)
 
         def at(logarithm: float) -> Matrix:
-            return self._along_stream(lowest * float(np.expm1(logarithm)))
+            return self._along_stream(lowest * expm1(logarithm))
 
-        least, most = (self.energy(at(float(end))) for end in ends[::-1])
+        def excess(logarithm: float) -> float:
+            return log(self.energy(at(logarithm)) / wanted)
+
+        least, most = self.energy(at(last)), self.energy(at(first))
         if not least < wanted < most:
             raise ValueError(
                 f"energy is {wanted:g}; with this rotation and topography, states of minimum enstrophy have energies "
@@ -269,7 +272,7 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
             )
         from scipy.optimize import brentq
 
-        return at(brentq(lambda logarithm: np.log(self.energy(at(logarithm)) / wanted), *ends, xtol=1e-15, rtol=1e-15))
+        return at(brentq(excess, first, last, xtol=1e-15, rtol=1e-15))
 
     def _along_stream(self, kappa: float) -> Matrix:
         """Return the state ``q = kappa psi + d`` whose psi has the mean of states."""
@@ -400,19 +403,32 @@ class TorusSurfaceQG(SurfaceQG, TorusEuler):
         self._build(N, stream_of_modes(N, np.sqrt(squared_wavenumbers(N))), None, "surface_qg", surface="torus")
 
 
-def _jet_with_screening() -> Matrix:
-    return sphere_qg(48, 100.0, 5.0).zonal_jet(band=(0.2, 1.2), perturbation=0.1)
+RANGES = ((4.0, 3.0, 0.1, 0.0), (2.0, 1.0, 0.05, 0.05))
+"""Modes of the mountains of the example."""
+
+
+def _eddies_over_mountains() -> Matrix:
+    return sphere_qg(48, 100.0, 5.0, RANGES).random(seed=3, degrees=(2, 8))
+
+
+def _two_jets_with_screening() -> Matrix:
+    return torus_qg(49, 9.0).zonal_jet(width=0.5, perturbation=0.1)
+
+
+def _random_buoyancy() -> Matrix:
+    return surface_qg(49, "torus").random(seed=3, degrees=(2, 5))
 
 
 @ready_made(
     gallery_entry=entry_of_fluid(
-        _jet_with_screening,
+        _eddies_over_mountains,
         48,
-        "An eastward jet on a rotating planet, whose deformation radius at the poles is a tenth of its own. In the "
-        "middle, the relative vorticity at the start and at the end. The spectrum of the potential vorticity is "
+        "Eddies on a rotating planet with mountains, whose deformation radius at the poles is a tenth of its own. In "
+        "the middle, the relative vorticity at the start and at the end. The spectrum of the potential vorticity is "
         "constant.",
         lamb=100.0,
         rotation=5.0,
+        topography=RANGES,
     )
 )
 def sphere_qg(
@@ -484,7 +500,16 @@ def sphere_qg(
     return SphereQG(size, of_latitude, rate, topography, constant)
 
 
-@ready_made
+@ready_made(
+    gallery_entry=entry_of_fluid(
+        _two_jets_with_screening,
+        49,
+        "Two jets, one against the other, on a plane with a deformation radius of a third of the unit of length, which "
+        "holds them together: without it they roll up. In the middle, the relative vorticity at the start and at the "
+        "end. The spectrum of the potential vorticity is constant.",
+        gamma=9.0,
+    )
+)
 def torus_qg(N: int = 33, gamma: float = 0.0, topography: Any = None) -> TorusQG:
     """Return quasi-geostrophic flow on the torus with the sine bracket: ``q_t + {psi, q} = 0``.
 
@@ -532,7 +557,16 @@ def torus_qg(N: int = 33, gamma: float = 0.0, topography: Any = None) -> TorusQG
     return TorusQG(size, constant, topography)
 
 
-@ready_made
+@ready_made(
+    gallery_entry=entry_of_fluid(
+        _random_buoyancy,
+        49,
+        "Random buoyancy at a surface is drawn out into fronts. In the middle, the buoyancy at the start and at the "
+        "end. Its distribution over area, the spectrum of the matrix, is constant.",
+        end=2.5,
+        surface="torus",
+    )
+)
 def surface_qg(N: int = 32, surface: str = "sphere") -> FluidSystem:
     """Return surface quasi-geostrophic flow: ``q_t + {psi, q} = 0`` with ``psi = -(-Laplacian)^(-1/2) q``.
 

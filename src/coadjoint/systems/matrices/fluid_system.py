@@ -296,11 +296,11 @@ class FluidSystem(MatrixSystem):
         return np.arange(1, count, dtype=np.int64), np.asarray(sums[..., 1:], dtype=np.float64)
 
 
-def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str, **parameters: float) -> GalleryEntry:
-    """Return the gallery entry of a fluid whose unstable jets break up into vortices."""
+def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str, end: float = 10.0, **parameters: Any) -> GalleryEntry:
+    """Return the gallery entry of a fluid whose jets or eddies break up; `parameters` beside N."""
     return GalleryEntry(
         x0=x0,
-        t_span=(0.0, 10.0),
+        t_span=(0.0, end),
         step=0.00625,
         caption=caption,
         pictures=(
