@@ -335,6 +335,11 @@ def test_a_restart_from_another_model(tmp_path):
         EARTH.without_units(humid)
     with pytest.warns(UserWarning, match="mean"):
         s.from_grid(EARTH.without_units(dataset.q.isel(time=0) + 1e-5), absolute=True)
+    with refused(ValueError, "vor", "buoyancy"):
+        S.surface_qg(12).from_file(tmp_path / "vor.nc", planet=EARTH)
+    np.save(tmp_path / "state.npy", W)
+    with refused(ValueError, "state.npy", "planet"):
+        s.from_file(tmp_path / "state.npy", planet=EARTH)
     run = co.integrate(s, W, (2.0, 2.5), 0.125, MIDPOINT)
     found = EARTH.with_units(run.to_xarray())
     found.to_netcdf(tmp_path / "run.nc", engine="h5netcdf")

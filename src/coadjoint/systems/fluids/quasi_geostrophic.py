@@ -19,9 +19,11 @@ from coadjoint.systems.matrices.fluid_system import FluidSystem, RelativeVortici
 from coadjoint.systems.matrices.labelled_fields import (
     BUOYANCY,
     POTENTIAL_VORTICITY,
+    RELATIVE,
     STATE,
     STREAM,
     STREAM_FUNCTION,
+    kind_of,
 )
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.spherical_modes import generators, laplacian, matrix_of_harmonics
@@ -370,6 +372,11 @@ class SurfaceQG(FluidSystem):
     @property
     def shown_fields(self) -> dict[str, tuple[str, Callable[[Any], Any], float]]:
         return {"buoyancy": (BUOYANCY, self.matrices, 0.0)}
+
+    def _of_labelled(self, values: Any, absolute: Any) -> Matrix:
+        if kind_of(values) == RELATIVE:
+            raise ValueError(f"{values.name} is a vorticity; surface_qg takes a buoyancy, or a stream function")
+        return super()._of_labelled(values, absolute)
 
     @property
     def energy_weights(self) -> Floats:

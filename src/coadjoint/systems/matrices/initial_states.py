@@ -216,13 +216,13 @@ def from_file(
         xarray or h5netcdf is needed for NetCDF and is not installed.
     """
     values = read_field(path, self.surface, variable, select)
+    if planet is not None and not is_xarray(values):
+        raise ValueError(f"{short(str(path))} has no units; omit planet")
     if np.iscomplexobj(values):
         return self.algebra.read(values, short(str(path)))
     if is_xarray(values):
         values = values if planet is None else read_planet(planet).without_units(values)
         absolute = False if absolute is None and kind_of(values) is None else absolute
-    elif planet is not None:
-        raise ValueError(f"{short(str(path))} has no units; omit planet")
     else:
         absolute = absolute if absolute is not None else False
     return self.from_grid(values, absolute=absolute)
