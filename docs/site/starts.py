@@ -55,6 +55,7 @@ x0 = system.state(
 )""",
     "separable_cosh": SPHERE.format(count=16, factor="3 * "),
     "sphere_euler": "x0 = system.zonal_jet(band=(0.2, 1.2), perturbation=0.1)",
+    "sphere_qg": "x0 = system.random(seed=3, degrees=(2, 8))",
     "spin_lattice": """\
 x, y = np.indices((18, 18)) - 8.5
 angle, tilt = np.pi / 2, 0
@@ -63,9 +64,11 @@ for center in (-3.5, 3.5):  # of a vortex, where spins point up
     tilt = tilt + np.exp(-0.4 * ((x - center) ** 2 + y**2))
 in_plane = np.sqrt(1 - np.minimum(tilt, 1) ** 2)
 x0 = np.stack([in_plane * np.cos(angle), in_plane * np.sin(angle), tilt], axis=-1).ravel()""",
+    "surface_qg": "x0 = system.random(seed=3, degrees=(2, 5))",
     "toda_ring": """\
 a = 0.5 + 0.35 * np.exp(-0.25 * (np.arange(48) - 11.5) ** 2)
 x0 = np.concatenate([np.zeros(48), a])""",
     "torus_euler": "x0 = system.zonal_jet(width=0.5, perturbation=0.1)",
+    "torus_qg": "x0 = system.zonal_jet(width=0.5, perturbation=0.1)",
 }
 """Lines that set `x0`, by the name of the system, which is `system`; tests compare it with the start of the entry."""

@@ -60,6 +60,10 @@ NO_EDGES = ([[0, 0]], [[0, 1], [1, 0]], [[0, 3]], [[-1, 0]], [[0.5, 1]], [0, 1],
 MATRIX_OF_BOND = vector((1.0, 1.0, 0.5), real(), FULL, SKEWED, [FULL] * 2).plus(outside=(np.eye(2), np.ones((3, 3, 3))))
 
 
+def constant_height(first, second):
+    return 0.1 * np.sin(second) * np.cos(first)
+
+
 def on_a_lattice(lattice, shape, **others):
     """Take a shape with as many axes as the lattice has, where the shape is the usual one."""
     axes = {"square": 2, "triangular": 2, "honeycomb": 2, "kagome": 2, "cubic": 3}.get(repr(lattice)[1:-1], 1)
@@ -92,6 +96,14 @@ PAIR = vector(((1.0, 2.0, 2.5), (1.0, 1.25, 1.5)), positive(), [FULL, (1, 1, 1)]
 # Physical numbers, of the range of float64.
 SIZE = positive().plus(1e-60, 1e60, outside=(1e-310, 1e308))
 TWO_MASSES = vector((1.0, 0.5), SIZE).plus(None, without=(None,))
+
+TOPOGRAPHY = structured(
+    (None, {(1, 1): 0.1}, [[1, 0, 0.1, 0.0]], np.array([[1.0, -1.0, 0.1, 0.05]]), constant_height),
+    (np.zeros((4, 4, 4)), np.zeros((2, 3)), {(9, 9): 0.1}, {(0, 0): 0.1}, [[1, 0, math.nan, 0.0]], [[0.5, 0, 1.0, 0.0]],
+     [[1, 1, 0.1, 0.0]] * 2, cosine, "heights"),
+    r"\btopography\b|\bmodes?\b|\bheights\b|\bends with\b",
+    keep=(None, {}),
+)  # fmt: skip
 
 # By the name of the parameter, where systems share it.
 SHARED = {
@@ -237,6 +249,17 @@ OWN = {
             outside=(SKEWED, [FULL], [FULL, FULL, SKEWED], np.eye(2))
         ),
         "dipolar": real(0.0),
+    },
+    "sphere_qg": {
+        "N": whole(3, 4096, usual=5, tried=6),
+        "lamb": not_negative(2.0),
+        "gamma": not_negative(0.5),
+        "topography": TOPOGRAPHY,
+    },
+    "torus_qg": {
+        "N": one_of(5, 3).plus(outside=(0, 1, 1002, 1003, -3)).first(5, 3, 7, np.int64(7)),
+        "gamma": not_negative(0.5),
+        "topography": TOPOGRAPHY,
     },
     "torus_euler": {"N": one_of(5, 3).plus(outside=(0, 1, 1002, 1003, -3)).first(5, 3, 7, np.int64(7))},
     "vlasov_moments": {

@@ -158,7 +158,15 @@ def _other_bytes(chosen, text):
     return text[:at] + more.get(chosen.randrange(5), chosen.choice(EXTRA) + text[at:])
 
 
-SMALL = {"sphere_euler": {"N": 5}, "torus_euler": {"N": 5}, "reduced_mhd": {"N": 3}, "passive_scalar": {"N": 3}}
+SMALL = {
+    "sphere_euler": {"N": 5},
+    "torus_euler": {"N": 5},
+    "sphere_qg": {"N": 5},
+    "torus_qg": {"N": 5},
+    "surface_qg": {"N": 3},
+    "reduced_mhd": {"N": 3},
+    "passive_scalar": {"N": 3},
+}
 FORCES = (
     {"name": "LinearDamping", "rate": 0.1},
     {"name": "DoubleBracketDamping", "alpha": 0.1},

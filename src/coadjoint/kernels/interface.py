@@ -51,7 +51,7 @@ REQUIRED_CODES: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED", "TOO_LONG"),
     "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY", "UNSOLVED"),
-    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
+    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION", "SYMMETRIC"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
     "ForceKind": (
         "DAMPING",

@@ -30,6 +30,9 @@ from coadjoint.systems.examples.paper_examples import separable_cosh as separabl
 from coadjoint.systems.fluids.carried_fields import passive_scalar as passive_scalar
 from coadjoint.systems.fluids.carried_fields import reduced_mhd as reduced_mhd
 from coadjoint.systems.fluids.decorated_particles import decorated_particles as decorated_particles
+from coadjoint.systems.fluids.quasi_geostrophic import sphere_qg as sphere_qg
+from coadjoint.systems.fluids.quasi_geostrophic import surface_qg as surface_qg
+from coadjoint.systems.fluids.quasi_geostrophic import torus_qg as torus_qg
 from coadjoint.systems.fluids.sphere_euler import sphere_euler as sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler as torus_euler
 from coadjoint.systems.fluids.truncations import fluid_triad as fluid_triad
@@ -42,6 +45,7 @@ from coadjoint.systems.lattices.spin_lattice import spin_lattice as spin_lattice
 from coadjoint.systems.lattices.toda import toda as toda
 from coadjoint.systems.lattices.toda import toda_ring as toda_ring
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.planet import Planet as Planet
 from coadjoint.systems.matrices.streams import Circulants as Circulants
 from coadjoint.systems.matrices.streams import DiagonalSolve as DiagonalSolve
 from coadjoint.systems.matrices.streams import FunctionStream as FunctionStream
@@ -54,6 +58,7 @@ __all__ = [
     "DiagonalSolve",
     "FunctionStream",
     "FunctionTerm",
+    "Planet",
     "PolynomialTerm",
     "QuadraticTerm",
     "Weights",
@@ -91,10 +96,13 @@ __all__ = [
     "sklyanin",
     "so_n_body",
     "sphere_euler",
+    "sphere_qg",
     "spin_lattice",
+    "surface_qg",
     "toda",
     "toda_ring",
     "torus_euler",
+    "torus_qg",
     "vlasov_moments",
 ]
 

@@ -1,6 +1,7 @@
 """Programs in `examples/`."""
 
 import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,13 @@ EXAMPLES = Path(__file__).parents[3] / "examples"
 )
 def test_programs_that_check_their_results(name, capsys):
     runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["decaying", pytest.param("forced", marks=pytest.mark.long)])
+def test_jets_of_planets_fall_with_the_latitude(kind, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["planetary_jets.py", "48", kind])
+    runpy.run_path(str(EXAMPLES / "planetary_jets.py"))
     assert capsys.readouterr().out
 
 

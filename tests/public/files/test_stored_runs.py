@@ -114,7 +114,15 @@ OTHERS = {
     ("sphere_euler", "rotation"): {"N": 4, "rotation": 0.75},
 }  # fmt: skip
 OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar")}
-SIZED = {"sphere_euler": 4, "torus_euler": 5, "reduced_mhd": 5, "passive_scalar": 5}
+SIZED = {
+    "sphere_euler": 4,
+    "torus_euler": 5,
+    "reduced_mhd": 5,
+    "passive_scalar": 5,
+    "sphere_qg": 4,
+    "torus_qg": 5,
+    "surface_qg": 4,
+}
 
 
 def variants(name):

@@ -9,6 +9,7 @@ import pytest
 from drawn_runs import SENSES, T0, Picture, colour, data, made, shown
 
 import coadjoint as co
+from refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +153,18 @@ def test_spectra_and_shares_are_those_of_their_times(surface, sense):
         scale = float(line.get_label().strip("$").split("=")[1])
         own = energies[:, np.flatnonzero(np.isclose(scales, scale))[0]] / energies.sum(axis=1)
         np.testing.assert_allclose(data(line), [run.t, own], rtol=1e-12)
+
+
+def test_the_fields_of_a_quasi_geostrophic_flow_are_shown_by_their_names():
+    s = co.systems.torus_qg(9, 2.0, {(1, 2): 0.5})
+    W = s.random(3, degrees=(2, 4))
+    run = made(np.stack([W, W]), s)
+    for part, matrix in (("all", s.relative(W)), ("potential", W), ("stream", s.stream_of(W))):
+        axes = shown(run, "vorticity", part=part)
+        wanted = s.to_grid(matrix, (128, 128), absolute=True).T
+        np.testing.assert_allclose(axes.get_images()[0].get_array()[:-1, :-1], wanted, atol=1e-12)
+    assert "potential vorticity" in shown(run, "vorticity", part="potential").get_title()
+    surface = co.systems.surface_qg(9, "torus")
+    assert "buoyancy" in shown(made(np.stack([W, W]), surface), "vorticity").get_title()
+    with refused(ValueError, "surface_qg", "potential vorticity"):
+        shown(made(np.stack([W, W]), surface), "vorticity", part="potential")

@@ -20,9 +20,10 @@ FIXED = {
     "clebsch_body", "double_spherical_pendulum", "fluid_triad", "goryachev_chaplygin_top", "gyrostat", "heavy_top",
     "kirchhoff_body", "kovalevskaya_top", "lagrange_top", "lorenz_1960", "maxwell_bloch", "paper_a37",
     "paper_rigid_body", "passive_scalar", "reduced_mhd", "riccati", "rigid_body", "satellite", "satellite_on_orbit",
-    "separable_cosh", "sklyanin", "sphere_euler", "torus_euler",
+    "separable_cosh", "sklyanin", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
 }  # fmt: skip
-FLUIDS = {"passive_scalar", "reduced_mhd", "sphere_euler", "torus_euler"}  # their states are matrices
+# Their states are matrices.
+FLUIDS = {"passive_scalar", "reduced_mhd", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg"}
 
 
 def inertias(count: int) -> list[tuple[float, ...]]:

@@ -15,7 +15,10 @@ S = co.systems
 NAMES = S.names()
 FULL = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])
 FIELDS = np.array([[0.0, 0.0, 0.5], [1.0, -0.5, 0.25], [0.0, 0.0, 0.0]])
-SMALL = {name: {"N": 5} for name in ("sphere_euler", "torus_euler", "reduced_mhd", "passive_scalar")}
+FLUIDS = (
+    "sphere_euler", "torus_euler", "sphere_qg", "torus_qg", "surface_qg", "reduced_mhd", "passive_scalar",
+)  # fmt: skip
+SMALL = {name: {"N": 5} for name in FLUIDS}
 
 # Systems with a closed form by name, and the size of the group element, 0 if the closed form is of the state alone.
 SOLVED = {
@@ -80,6 +83,9 @@ OTHERS = {
     "open chain": S.toda(5),
     "ring": S.toda_ring(5),
     "rotating sphere": S.sphere_euler(5, 0.7),
+    "planet": S.sphere_qg(5, 12.0, 0.7, {(2, 1): 0.2 - 0.1j, (1, 0): 0.1}, 1.5),
+    "basin": S.torus_qg(5, 1.5, {(1, 2): 0.2 - 0.1j}),
+    "surface of a torus": S.surface_qg(5, "torus"),
     "field on a torus": S.reduced_mhd(5, "torus"),
     "dye on a torus": S.passive_scalar(5, "torus"),
 }
@@ -215,7 +221,7 @@ def test_made_again_from_parameters_and_pickled(name):
     for array in arrays.values():
         if isinstance(array, np.ndarray):
             array[...] = 7
-    if system.name in ("rigid_body", "heavy_top", "manakov_top", "spin_lattice", "toda", "sphere_euler", "torus_euler"):
+    if system.name in ("rigid_body", "heavy_top", "manakov_top", "spin_lattice", "toda", *FLUIDS[:3]):
         copies.append(pickle.loads(pickle.dumps(system)))
     for again in copies:
         assert again.parameters == system.parameters and again.algebra == system.algebra

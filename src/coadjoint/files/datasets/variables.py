@@ -23,7 +23,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import differing_numbers
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD, RELATIVE_VORTICITY
+from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -285,8 +285,7 @@ def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[s
 
 def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Variables]:
     """Return variables and coordinates of vorticity on a grid (None: if not large); empty without a fluid."""
-    system = solution.system
-    fluid = None if system.is_batch or not system.has_matrices else system.unforced.fluid
+    fluid = _fluid_of(solution.system)
     if fluid is None:
         if grid is None or grid is False:
             return {}, {}
@@ -297,24 +296,33 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     shape = None if grid is None or grid is True else grid
     rows, columns = fluid.grid(shape)
     dims = ("time", *_member(solution))
-    names = ("carried", "vorticity") if solution.x.ndim == len(dims) + 3 else ("vorticity",)
-    size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(names)
+    shown: dict[str, Any] = fluid.shown_fields
+    two = solution.x.ndim == len(dims) + 3
+    if two:
+        shown = {"carried": (CARRIED_FIELD, fluid.matrices, 0.0), **shown}
+    size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(shown)
     if grid is None and size > MAX_DEFAULT_BYTES:
         return {}, {}
     axes = ("latitude", "longitude") if on_sphere else ("eastward", "northward")
     found: Variables = {}
-    for layer, name in enumerate(names):
-        W = fluid.matrices(solution.x if len(names) == 1 else solution.x[..., layer, :, :])
-        about = cf_attributes(CARRIED_FIELD if name == "carried" else RELATIVE_VORTICITY)
-        found[name] = ((*dims, *axes), _on_grid(fluid, W if name == "carried" else fluid.relative(W), shape), about)
+    for name, (long_name, matrices_of, mean) in shown.items():
+        W = fluid.matrices(solution.x[..., int(name != "carried"), :, :] if two else solution.x)
+        found[name] = ((*dims, *axes), _on_grid(fluid, matrices_of(W), shape) + mean, cf_attributes(long_name))
     return found, _coordinates(on_sphere, rows, columns)
+
+
+def _fluid_of(system: Any) -> Any:
+    """Return the fluid of a system; None for other systems."""
+    return None if system.is_batch or not system.has_matrices else system.unforced.fluid
 
 
 def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xarray.Dataset:
     """Return the dataset of a stored run with the fields on a grid, in place of those that it has."""
     import xarray
 
-    names = ("vorticity", "carried", "latitude", "longitude", "eastward", "northward")
+    fluid = _fluid_of(solution.system)
+    shown = () if fluid is None else fluid.shown_fields
+    names = (*shown, "carried", "latitude", "longitude", "eastward", "northward")
     rest = dataset.drop_vars(names, errors="ignore")
     found, coordinates = vorticity_variables(solution, grid)
     of_run = xarray.Dataset(found, coordinates, dict(dataset.attrs))

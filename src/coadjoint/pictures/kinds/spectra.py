@@ -29,7 +29,9 @@ def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
     system = drawn.unforced
     if not system.has_matrices or system.fluid is None:
-        raise CannotShow(f"{system.name} has no vorticity to show; sphere_euler and torus_euler have")
+        raise CannotShow(
+            f"{system.name} has no vorticity to show; fluids such as sphere_euler, torus_euler and sphere_qg have"
+        )
     found: FluidSystem = system.fluid
     return found
 

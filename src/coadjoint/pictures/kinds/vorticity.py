@@ -20,12 +20,14 @@ from coadjoint.validation import read_choice, read_number, read_positive
 Floats = npt.NDArray[np.float64]
 
 PART_TITLES = {
-    "all": "vorticity",
-    "large": "vorticity, large scales",
-    "small": "vorticity, small scales",
+    "all": "{}",
+    "large": "{}, large scales",
+    "small": "{}, small scales",
+    "potential": "potential vorticity",
     "stream": "stream function",
     "carried": "carried field",
 }
+"""Titles of the parts, with the name of the field that is shown."""
 COLUMNS = 720
 """Pixels across a map."""
 MIN_GRID, MAX_GRID = 128, 720
@@ -54,13 +56,15 @@ def vorticity(
 ) -> Paint:
     """Show the vorticity of a quantized fluid, relative to its frame, at one time, for the first member.
 
+    Of a surface quasi-geostrophic flow it is the buoyancy.
+
     Parameters
     ----------
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
-    part : {"all", "large", "small", "stream", "carried"}
-        The vorticity; its large scales, which are constant along streamlines; the remainder; the stream function; or
-        the second field, which the fluid carries.
+    part : {"all", "large", "small", "potential", "stream", "carried"}
+        The vorticity; its large scales, which are constant along streamlines; the remainder; the potential vorticity
+        of a quasi-geostrophic flow; the stream function; or the second field, which the fluid carries.
     projection : {"mollweide", "hammer", "outside"}
         Projection of the sphere: equal-area maps, or the view from outside.
     centre : (float, float)
@@ -74,6 +78,9 @@ def vorticity(
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
     if part == "carried" and len(drawn.unforced.shape) != 3:
         raise CannotShow(f"{drawn.unforced.name} carries no second field; reduced_mhd and passive_scalar do")
+    if part == "potential" and "potential_vorticity" not in fluid.shown_fields:
+        raise CannotShow(f"{drawn.unforced.name} has no potential vorticity; sphere_qg and torus_qg have")
+    title = PART_TITLES[part].format(next(iter(fluid.shown_fields)))
     surface, k = fluid.surface, drawn.index_at(at)
 
     def on_fluid_grid(system: Any, state: Any) -> Floats:
@@ -87,12 +94,12 @@ def vorticity(
         style = {"cmap": "RdBu_r", "vmin": -size, "vmax": size, "origin": "lower"}
         image = axes.imshow(pixels(first), **options, **style)
         ends = "both" if largest > size else "neither"
-        colour_bar(axes, image, PART_TITLES[part], extend=ends)
+        colour_bar(axes, image, title, extend=ends)
 
         def show(j: int) -> None:
             image.set_data(pixels(on_fluid_grid(drawn.unforced, drawn.state(j))))
 
-        return at_one_time(axes, drawn, PART_TITLES[part], k, show)
+        return at_one_time(axes, drawn, title, k, show)
 
     return paint
 
@@ -103,6 +110,9 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
         # Of constant spectrum: the first of two fields.
         return fluid.to_grid(np.asarray(state)[0], shape, absolute=True)
     W = vorticity_of(state)
+    if part == "potential":
+        _, matrices_of, mean = fluid.shown_fields["potential_vorticity"]
+        return np.asarray(fluid.to_grid(matrices_of(W), shape, absolute=True) + mean)
     shown = fluid.relative(W)
     if part != "all":
         P = fluid.stream_of(W)

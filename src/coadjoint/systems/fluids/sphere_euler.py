@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property, partial
-from math import pi
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from coadjoint.systems.matrices.fluid_system import (
     read_shape,
     read_values,
 )
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.spherical_modes import (
     as_mapping,
     generators,
@@ -57,19 +58,34 @@ class SphereEuler(FluidSystem):
     """
 
     def __init__(self, N: int, rotation: float) -> None:
+        planetary = -2.0 * rotation * generators(N)[2]
+        # of degree 1, where the stream is -1/2
         stream = DiagonalSolve(*laplacian(N), factor=-1.0)
+        self._build(N, stream, planetary, 0.5 * planetary, "sphere_euler", rotation, {"rotation": rotation})
+
+    def _build(
+        self,
+        N: int,
+        stream: Any,
+        planetary: Matrix,
+        linear: Matrix,
+        name: str,
+        rotation: float,
+        parameters: dict[str, Any],
+    ) -> None:
+        """Build the system of a stream, the vorticity of the frame and minus its stream; `parameters` beside N."""
         self.rotation, self.scale = rotation, scale(N)
         self.energy_unit = self.scale**-2
-        self.planetary = -2.0 * rotation * generators(N)[2]
+        self.planetary = planetary
         self.planetary.flags.writeable = False
-        super().__init__(
+        MatrixSystem.__init__(
+            self,
             MatrixAlgebra("su", N),
             stream,
             energy_sign=-1,
-            # of degree 1, where the stream is -1/2
-            linear=0.5 * self.planetary if rotation else None,
-            name="sphere_euler",
-            parameters={"N": N, "rotation": rotation},
+            linear=linear if linear.any() else None,
+            name=name,
+            parameters={"N": N, **parameters},
         )
 
     surface = "sphere"
@@ -105,7 +121,7 @@ class SphereEuler(FluidSystem):
         >>> list(modes), bool(abs(modes[3, -2] - (0.5 + 1j)) < 1e-14)
         ([(3, -2), (3, 2)], True)
         """
-        return self._state(matrix_of_harmonics(read_harmonics(modes, self.algebra.N)), absolute, "from_modes")
+        return self._state(matrix_of_harmonics(self.read_modes(modes)), absolute, "from_modes")
 
     def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
         """Return the coefficients of one state by (l, m) that are nonzero beyond round-off.
@@ -225,14 +241,31 @@ class SphereEuler(FluidSystem):
         return matrix_of_harmonics(spherical_modes.coefficients_of(field, self.algebra.N, points, longitude))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        north, points, east = spherical_modes.grid_orientation(first, second)
-        return self._from_values(values[..., ::north, ::east], points, float(second[::east][0]))
+        return matrix_of_harmonics(self.modes_with_mean(values, first, second))
+
+    def read_modes(self, modes: Any) -> Matrix:
+        return read_harmonics(modes, self.algebra.N)
+
+    mean_factor = 1 / sqrt(4 * pi)
+
+    def modes_with_mean(self, values: Floats, first: Floats | None = None, second: Floats | None = None) -> Matrix:
+        points, start = "clenshaw-curtis", 0.0
+        if first is not None and second is not None:
+            north, points, east = spherical_modes.grid_orientation(first, second)
+            values, start = values[..., ::north, ::east], float(second[::east][0])
+        c = spherical_modes.coefficients_of(values, self.algebra.N, points, start)
+        c[..., :, 0].imag = 0.0  # round-off
+        return c
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return the kinetic energy of the relative motion, of matrices (..., N, N) or of vectors."""
-        V = self.relative(x)
+        V = self._moving(x)
         value = 0.5 * self.energy_factor * self.algebra.pairing(self.slope_of(V), V)
         return float(value) if np.ndim(value) == 0 else value
+
+    def _moving(self, x: Any) -> Matrix:
+        """Return the part of a state, or of a relative vorticity, that moves relative to the frame."""
+        return self.relative(x)
 
     @property
     def area(self) -> float:

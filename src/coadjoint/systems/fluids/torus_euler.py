@@ -34,6 +34,16 @@ class TorusEuler(FluidSystem):
     surface = "torus"
     states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
 
+    def __init__(self, N: int) -> None:
+        self._build(N, stream_of_modes(N, squared_wavenumbers(N)), None, "torus_euler")
+
+    def _build(self, N: int, stream: Circulants, linear: Matrix | None, name: str, **others: Any) -> None:
+        """Build the system of a stream and of a constant added to it; `others` are parameters."""
+        super().__init__(
+            MatrixAlgebra("su", N), stream, linear, energy_sign=-1, name=name, parameters={"N": N, **others}
+        )
+        self.energy_unit = 64.0 * pi**4 / N**3  # of integrals over the torus
+
     def zonal_jet(
         self, speed: float = 1.0, *, width: float = 0.3, perturbation: float = 0.01, waves: int = 2
     ) -> Matrix:
@@ -109,7 +119,7 @@ class TorusEuler(FluidSystem):
         >>> bool(abs(s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2] - (0.5 + 1j)) < 1e-15)
         True
         """
-        W = self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
+        W = self.algebra.projected(matrix_of_modes(self.read_modes(modes)))
         return self._state(W, absolute, "from_modes")
 
     def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
@@ -193,12 +203,23 @@ class TorusEuler(FluidSystem):
         return self._state(W, absolute, "from_grid")
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        x, y = torus_modes.grid_orientation(first, "x"), torus_modes.grid_orientation(second, "y")
-        w = self.mode_array(self.from_grid(values[..., ::x, ::y]))
+        return self.algebra.projected(matrix_of_modes(self.modes_with_mean(values, first, second)))
+
+    def read_modes(self, modes: Any) -> Matrix:
+        return read_modes(modes, self.algebra.N)
+
+    mean_factor = 1.0
+
+    def modes_with_mean(self, values: Floats, first: Floats | None = None, second: Floats | None = None) -> Matrix:
+        x = y = 1
+        if first is not None and second is not None:
+            x, y = torus_modes.grid_orientation(first, "x"), torus_modes.grid_orientation(second, "y")
+        w = torus_modes.modes_of(values[..., ::x, ::y], self.algebra.N)
+        if first is None or second is None:
+            return w
         n = representatives(self.algebra.N)
         # shift, since the first point is not at 0
-        w *= np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0])
-        return self.algebra.projected(matrix_of_modes(w))
+        return np.asarray(w * np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0]))
 
     @property
     def area(self) -> float:
@@ -240,6 +261,24 @@ class TorusEuler(FluidSystem):
 
     def read_places(self, places: Any, what: str) -> Floats:
         return torus_modes.read_places(places, what)
+
+
+def stream_of_modes(N: int, divisors: Floats) -> Circulants:
+    """Return the stream ``psi_n = -w_n/divisor`` from divisors ``[n1 mod N, n2 mod N]``; the mode 0 is dropped."""
+    by_mode = -1.0 / divisors
+    by_mode[0, 0] = 0.0
+    # along the diagonal d = n2 the phase of mode n1 advances by 2 n1 from entry to entry
+    spectrum = np.empty((N, N))
+    spectrum[:, (2 * np.arange(N)) % N] = by_mode.T
+    return Circulants(spectrum)
+
+
+def squared_wavenumbers(N: int) -> Floats:
+    """Return |n|^2 of modes ``[n1 mod N, n2 mod N]``, and 1 for the mode 0."""
+    n = representatives(N).astype(float)
+    squares = n[:, None] ** 2 + n[None, :] ** 2
+    squares[0, 0] = 1.0
+    return squares
 
 
 def round_off(value: complex, size: float) -> complex:
@@ -292,15 +331,4 @@ def torus_euler(N: int = 33) -> TorusEuler:
     N = read_integer(N, "N", 3, MAX_N)
     if N % 2 == 0:
         raise ValueError(f"N is {N}; the sine bracket needs an odd N")
-    n = representatives(N)
-    squares = (n[:, None] ** 2 + n[None, :] ** 2).astype(float)  # [d, n1]
-    with np.errstate(divide="ignore"):
-        by_mode = np.where(squares == 0.0, 0.0, -1.0 / squares)
-    # along the diagonal d the phase of mode n1 advances by 2 n1 from entry to entry
-    spectrum = np.empty((N, N))
-    spectrum[:, (2 * np.arange(N)) % N] = by_mode
-    system = TorusEuler(
-        MatrixAlgebra("su", N), Circulants(spectrum), energy_sign=-1, name="torus_euler", parameters={"N": N}
-    )
-    system.energy_unit = 64.0 * pi**4 / N**3  # of integrals over the torus
-    return system
+    return TorusEuler(N)

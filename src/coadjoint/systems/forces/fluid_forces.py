@@ -35,6 +35,9 @@ from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer
 class Friction(ModeRates):
     """Scale-dependent friction of a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
 
+    W is the vorticity relative to the frame; in quasi-geostrophic flows it is the potential vorticity without its
+    planetary and topographic terms, so that a flow comes to rest.
+
     Choose it for drag on large scales only, or as a filter. If all scales have the same rate, `LinearDamping` is
     cheaper; for viscous damping use `Viscosity`.
 
@@ -91,7 +94,8 @@ class Viscosity(ModeRates):
     On the torus A is ``|n|^2`` on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the
     rate of strain: a solid rotation has no strain and does not decay, so the angular momentum is preserved. With
     ``rotation=True``, and for a carried field (diffusion, resistivity), it is l(l + 1), and solid rotations decay. The
-    flow is exact in every mode, for any rate.
+    flow is exact in every mode, for any rate. In quasi-geostrophic flows W is the potential vorticity without its
+    planetary and topographic terms.
 
     Parameters
     ----------
@@ -155,10 +159,11 @@ class BetaPlane(ModeRates):
     """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves with the exact dispersion.
 
     The mode n rotates by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
-    ``sigma = -beta n1/|n|^2``, and travels to the west for a positive beta, with x eastward and y northward. Energy and
-    enstrophy are preserved. The term is that of the continuous fluid: it derives from no Hamiltonian of the matrix
-    model, breaks its bracket, and changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame
-    has this effect within the model: ``sphere_euler(rotation=...)``.
+    ``sigma = -beta n1/|n|^2``, for `torus_qg` with ``|n|^2 + gamma`` in place of ``|n|^2``, and travels to the west for
+    a positive beta, with x eastward and y northward. Energy and enstrophy are preserved. The term is that of the
+    continuous fluid: it derives from no Hamiltonian of the matrix model, breaks its bracket, and changes the other
+    Casimirs, tr W^3 and so on. On the sphere the rotation of the frame has this effect within the model:
+    ``sphere_euler(rotation=...)``.
 
     Parameters
     ----------
@@ -203,7 +208,7 @@ class BetaPlane(ModeRates):
             )
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        return -1j * self.beta * representatives(modes.N)[numbers] / modes.eigenvalues(d, numbers)
+        return 1j * self.beta * representatives(modes.N)[numbers] * modes.stream.on_modes(modes, d, numbers)
 
 
 def _read_band(value: Any, what: str) -> Any:

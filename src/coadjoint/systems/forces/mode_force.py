@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -31,6 +31,8 @@ class ModeBasis(ABC):
     # mode.
 
     N: int
+    stream: Any = field(default=None, compare=False, repr=False)
+    """The stream of the vorticity of the system."""
 
     kind: ClassVar[str]
     scale: ClassVar[str]
@@ -201,7 +203,7 @@ def modes_of(system: Any, what: str) -> ModeBasis:
             f"{what} acts on the modes of a fluid, such as sphere_euler or torus_euler, which {system.name} does not "
             "have; take LinearDamping"
         )
-    return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N)
+    return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N, system.stream)
 
 
 def read_layer(value: Any, what: str) -> str:
@@ -225,7 +227,8 @@ def layer_vector(system: Any, layer: str, W: npt.NDArray[Any]) -> npt.NDArray[An
 class ModeRates(Force):
     """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase."""
 
-    # On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
+    # c is the mode of the state without that at rest: on a rotating sphere, whose state is the absolute vorticity, of
+    # the relative vorticity; in a quasi-geostrophic flow of the potential vorticity without its planetary term.
 
     layer: str
 

@@ -14,13 +14,24 @@ from coadjoint.long_operations import warn_caller
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import initial_states
-from coadjoint.systems.matrices.labelled_fields import is_absolute, labelled_field
+from coadjoint.systems.matrices.labelled_fields import (
+    RELATIVE,
+    RELATIVE_VORTICITY,
+    STATE,
+    STREAM,
+    WITHOUT_UNITS,
+    kind_of,
+    labelled_field,
+    units_of,
+)
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.validation import check_finite, read_bool, read_integer, read_numbers, to_array
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
+MEAN_TOLERANCE = 1e-3
+"""Relative to the largest value of a field: a smaller mean may come from the interpolation of another model."""
 MAX_GRID_SIZE = 2**16  # rows or columns; a larger grid exceeds any memory
 
 
@@ -135,12 +146,50 @@ class FluidSystem(MatrixSystem):
 
     def _of_labelled(self, values: Any, absolute: Any) -> Complexes:
         """Return the states of an array of xarray, by its coordinates, and by its attributes if `absolute` is None."""
-        absolute = is_absolute(values) if absolute is None else absolute
-        field = labelled_field(values, self.surface, str(values.name or "values"))
+        kind = kind_of(values) if absolute is None else STATE if read_bool(absolute, "absolute") else RELATIVE
+        name, units = str(values.name or "values"), units_of(values)
+        if units not in WITHOUT_UNITS:
+            raise ValueError(
+                f"{name} has the units {short(units)}, and a system has none; give planet= of from_file, or a field of "
+                "Planet.without_units"
+            )
+        field = labelled_field(values, self.surface, name)
         try:
-            return self._state(self.from_coordinates(*field[:3]), absolute, "from_grid")
+            matrix = self.from_coordinates(*field[:3])
         except ValueError as reason:
             raise ValueError(f"{reason}{field.assumed}") from None
+        if (wanted := self._mean_of(kind)) is not None:
+            mean = self.modes_with_mean(*field[:3])[..., 0, 0].real * self.mean_factor
+            if np.abs(mean - wanted).max(initial=0.0) > MEAN_TOLERANCE * np.abs(field.values).max(initial=0.0):
+                text = f"{name} has the mean {short(mean)}, which must be {wanted:g}; the difference is dropped"
+                warn_caller(text, UserWarning)
+        if kind == STREAM:
+            return self.from_stream(matrix)
+        return self._state(matrix, None if kind is None else kind == STATE, "from_grid")
+
+    def from_stream(self, P: Any) -> Complexes:
+        """Return the state of a stream function without its mean, given by matrices; inverse of `stream_of`.
+
+        Parameters
+        ----------
+        P : (..., N, N) array
+            Such as ``from_grid(psi, absolute=True)``, ``from_modes(modes, absolute=True)``.
+
+        Returns
+        -------
+        (..., N, N) array
+        """
+        inverse: Any = self.stream
+        return self.absolute(inverse.inverse(self.matrices(P)))
+
+    @property
+    def shown_fields(self) -> dict[str, tuple[str, Callable[[Any], Any], float]]:
+        """Name -> long name of a field in datasets, the function from states to its matrices, and its mean."""
+        return {"vorticity": (RELATIVE_VORTICITY, self.relative, 0.0)}
+
+    def _mean_of(self, kind: str | None) -> float | None:
+        """Return the mean that a labelled field of a kind must have; None if another one is dropped."""
+        return None
 
     @property
     @abstractmethod
@@ -186,6 +235,17 @@ class FluidSystem(MatrixSystem):
     @abstractmethod
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Complexes:
         """Return the matrix of values at the points of a grid given by its coordinates, in radians."""
+
+    @abstractmethod
+    def read_modes(self, modes: Any) -> Complexes:
+        """Validate modes, as for `from_modes`, and return them in the form of `mode_array`."""
+
+    mean_factor: float
+    """The mean of a field over its mode 0."""
+
+    @abstractmethod
+    def modes_with_mean(self, values: Floats, first: Floats | None = None, second: Floats | None = None) -> Complexes:
+        """Return the mode array of values at the points of a grid, by default that of `grid`, with the mode 0."""
 
     def relative(self, W: Any) -> Complexes:
         """Return the matrix of the vorticity relative to the rotating frame, from a state W or from such a matrix."""
@@ -236,11 +296,11 @@ class FluidSystem(MatrixSystem):
         return np.arange(1, count, dtype=np.int64), np.asarray(sums[..., 1:], dtype=np.float64)
 
 
-def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str) -> GalleryEntry:
-    """Return the gallery entry of a fluid whose unstable jets break up into vortices."""
+def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str, end: float = 10.0, **parameters: Any) -> GalleryEntry:
+    """Return the gallery entry of a fluid whose jets or eddies break up; `parameters` beside N."""
     return GalleryEntry(
         x0=x0,
-        t_span=(0.0, 10.0),
+        t_span=(0.0, end),
         step=0.00625,
         caption=caption,
         pictures=(
@@ -250,7 +310,7 @@ def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str) -> GalleryEntry:
             Picture("eigenvalues"),
         ),
         components=Picture("energy by scale"),
-        parameters={"N": N},
+        parameters={"N": N, **parameters},
         save_every=20,
         quantity="vorticity",
     )

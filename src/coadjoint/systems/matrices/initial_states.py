@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import is_xarray
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.labelled_fields import read_field
+from coadjoint.systems.matrices.labelled_fields import kind_of, read_field
+from coadjoint.systems.matrices.planet import Planet, read_planet
 from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
@@ -180,9 +182,10 @@ def from_file(
     *,
     variable: str | None = None,
     select: Mapping[str, int] | None = None,
-    absolute: bool = False,
+    absolute: bool | None = None,
+    planet: Planet | None = None,
 ) -> Complexes:
-    """Return the state read from a file, such as a dataset of a run.
+    """Return the state read from a file, such as a dataset of a run or the restart of another model.
 
     Parameters
     ----------
@@ -193,8 +196,13 @@ def from_file(
         Variable of the NetCDF file, if it has several over these coordinates.
     select : mapping of str to int, optional
         Index along each further axis of the NetCDF variable, such as ``{"time": -1}``.
-    absolute : bool
-        Whether values on a grid are of the absolute vorticity; by default they are relative to the rotating frame.
+    absolute : bool, optional
+        Whether values on a grid are of the absolute vorticity, for quasi-geostrophic flows of the potential one; by
+        default what the variable names by its long name, its standard name, or its own: ``vor``, ``vo``, ``vorticity``,
+        ``zeta`` a relative vorticity, ``q``, ``pv`` the absolute or potential one, ``psi`` a stream function; other
+        ones are relative to the rotating frame.
+    planet : Planet, optional
+        Units of the planet, needed if the variable has units other than 1.
 
     Returns
     -------
@@ -208,8 +216,15 @@ def from_file(
         xarray or h5netcdf is needed for NetCDF and is not installed.
     """
     values = read_field(path, self.surface, variable, select)
+    if planet is not None and not is_xarray(values):
+        raise ValueError(f"{short(str(path))} has no units; omit planet")
     if np.iscomplexobj(values):
         return self.algebra.read(values, short(str(path)))
+    if is_xarray(values):
+        values = values if planet is None else read_planet(planet).without_units(values)
+        absolute = False if absolute is None and kind_of(values) is None else absolute
+    else:
+        absolute = absolute if absolute is not None else False
     return self.from_grid(values, absolute=absolute)
 
 

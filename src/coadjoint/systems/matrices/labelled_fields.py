@@ -27,13 +27,30 @@ AXES = {
 """Names, standard names and units of the two coordinates of a surface."""
 RELATIVE_VORTICITY, CARRIED_FIELD = "vorticity relative to the frame of the surface", "carried field"
 """Long names of the fields in datasets of runs."""
-IS_ABSOLUTE = {
-    RELATIVE_VORTICITY: False,
-    CARRIED_FIELD: True,
-    "atmosphere_relative_vorticity": False,
-    "atmosphere_absolute_vorticity": True,
+POTENTIAL_VORTICITY, STREAM_FUNCTION = "potential vorticity", "stream function"
+BUOYANCY = "buoyancy at the surface"
+RELATIVE, STATE, STREAM = "relative vorticity", "field of the state", "stream function"
+KINDS = {
+    RELATIVE_VORTICITY: RELATIVE,
+    CARRIED_FIELD: STATE,
+    POTENTIAL_VORTICITY: STATE,
+    BUOYANCY: STATE,
+    STREAM_FUNCTION: STREAM,
+    "atmosphere_relative_vorticity": RELATIVE,
+    "atmosphere_upward_relative_vorticity": RELATIVE,
+    "ocean_relative_vorticity": RELATIVE,
+    "atmosphere_absolute_vorticity": STATE,
+    "atmosphere_upward_absolute_vorticity": STATE,
+    "atmosphere_horizontal_streamfunction": STREAM,
 }
-"""Long or standard name -> whether the field is the absolute vorticity, or no vorticity."""
+"""Long or standard name -> kind of a field; one that is no field of a fluid is taken as it is, as the state."""
+LONG_NAMES = {RELATIVE: RELATIVE_VORTICITY, STATE: POTENTIAL_VORTICITY, STREAM: STREAM_FUNCTION}
+KINDS_BY_NAME = {
+    **dict.fromkeys(("vor", "vo", "vort", "vorticity", "relative_vorticity", "zeta"), RELATIVE),
+    **dict.fromkeys(("q", "pv", "potential_vorticity", "absolute_vorticity"), STATE),
+    **dict.fromkeys(("psi", "streamfunction", "stream_function"), STREAM),
+}
+"""Name of a variable in files of other models -> kind of its field."""
 
 
 class LabelledField(NamedTuple):
@@ -59,6 +76,7 @@ def labelled_field(field: xarray.DataArray, surface: str, name: str) -> Labelled
     if axes[0] == axes[1]:
         raise ValueError(f"both coordinates of {name} are along {short(axes[0])}; give values over two dimensions")
     rest = [axis for axis in field.dims if axis not in axes]
+    _check_gaps(field, name)
     values = read_finite(field.transpose(*rest, *axes).to_numpy(), name)
     (rows, of_rows), (columns, of_columns) = (_radians(one, name) for one in (first, second))
     if surface == "torus":
@@ -67,10 +85,29 @@ def labelled_field(field: xarray.DataArray, surface: str, name: str) -> Labelled
     return LabelledField(values, rows, np.unwrap(columns), of_rows + of_columns)
 
 
-def is_absolute(field: xarray.DataArray) -> bool | None:
-    """Return whether an array of xarray is the absolute vorticity or no vorticity, by its attributes; None without."""
+def _check_gaps(field: xarray.DataArray, name: str) -> None:
+    """Raise ValueError for NaN, as over land, with the coordinates of the first one."""
+    gaps = np.argwhere(field.isnull().to_numpy()) if field.dtype.kind == "f" else np.zeros((0, 0))
+    if len(gaps):
+        first = dict(zip(field.dims, gaps[0].tolist(), strict=True))
+        place = ", ".join(f"{axis} = {field[axis].to_numpy()[index]}" for axis, index in first.items())
+        raise ValueError(
+            f"{name} is NaN at {len(gaps)} points, first at {place}; fill them, such as land by the field's fillna(0.0)"
+        )
+
+
+WITHOUT_UNITS = ("", "1", "dimensionless")
+
+
+def units_of(field: xarray.DataArray) -> str:
+    """Return the units of a field; without an attribute it has none."""
+    return str(field.attrs.get("units", "")).strip()
+
+
+def kind_of(field: xarray.DataArray) -> str | None:
+    """Return the kind of field of an array of xarray, by its attributes; None without."""
     names = (str(field.attrs.get(key)) for key in ("long_name", "standard_name"))
-    return next((IS_ABSOLUTE[name] for name in names if name in IS_ABSOLUTE), None)
+    return next((KINDS[name] for name in names if name in KINDS), None)
 
 
 def _coordinate(field: xarray.DataArray, known: tuple[str, ...]) -> xarray.DataArray | None:
@@ -135,6 +172,8 @@ def _of_dataset(
         size = field.sizes[axis]
         field = field.isel({axis: read_integer(index, f"select[{axis!r}]", -size, size - 1)})
     axes = {axis for known in AXES[surface] if (found := _coordinate(field, known)) is not None for axis in found.dims}
+    if kind_of(field) is None and str(chosen).lower() in KINDS_BY_NAME:
+        field = field.assign_attrs(long_name=LONG_NAMES[KINDS_BY_NAME[str(chosen).lower()]])
     rest = [axis for axis in field.dims if axis not in axes]
     long = [axis for axis in rest if field.sizes[axis] > 1]
     if long and len(axes) == 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,12 @@ import numpy.typing as npt
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.spherical_modes import laplacian
+from coadjoint.systems.matrices.spherical_modes import (
+    coefficients_of_diagonal,
+    diagonal_of,
+    harmonics,
+    laplacian,
+)
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_finite, set_fields, to_array
 
@@ -64,6 +69,8 @@ class DiagonalSolve:
     table: Floats = field(init=False, repr=False)
 
     kind = "TRIDIAGONAL"
+    centred: ClassVar[bool] = False
+    """Whether P has trace zero, and does not depend on the trace of W, though no system is singular."""
 
     @property
     def size(self) -> int:
@@ -81,24 +88,25 @@ class DiagonalSolve:
             pivot = self.main[i, m] - below[i, m] * self.beside[i, m]
             is_singular = i == N - 1 and abs(pivot[0]) <= 1e-10 * abs(self.main[i, 0])
             inverse[i, m] = 0.0 if is_singular else self.factor / pivot
+        below[0, 0] = self.centred or inverse[N - 1, 0] == 0.0
         set_fields(self, table=np.stack([below, inverse]).ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
         N = len(self.main)
         below, inverse = self.table.reshape(2, N, N)
-        P, singular = np.zeros_like(W), inverse[N - 1, 0] == 0.0
+        P, centred = np.zeros_like(W), below[0, 0] != 0.0
         diagonal, mean = np.arange(N), np.trace(W, axis1=-2, axis2=-1) / N
         # Vectorized over the diagonals.
         for i in range(N):
             P[..., i, i:] = W[..., i, i:]
             if i:
                 P[..., i, i:] -= below[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
-            if singular:
+            if centred:
                 P[..., i, i] -= mean
         for i in range(N - 1, -1, -1):
             P[..., i, i:] *= inverse[i, : N - i]
             P[..., i, i : N - 1] -= below[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :] if i < N - 1 else 0.0
-        if singular:
+        if centred:
             P[..., diagonal, diagonal] -= (np.trace(P, axis1=-2, axis2=-1) / N)[..., None]
         return _mirrored(P)
 
@@ -125,14 +133,142 @@ class DiagonalSolve:
 
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P."""
-        N, W = len(self.main), np.zeros_like(P)
-        for i in range(N):
-            W[..., i, i:] = self.main[i, : N - i] * P[..., i, i:]
-            if i:
-                W[..., i, i:] += self.beside[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
-            if i < N - 1:
-                W[..., i, i : N - 1] += self.beside[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :]
-        return _mirrored(W / self.factor)
+        return tridiagonal_product(self.main, self.beside, P) / self.factor
+
+
+def tridiagonal_product(main: Floats, beside: Floats, P: Matrix) -> Matrix:
+    """Return the product of a symmetric tridiagonal matrix with each diagonal of skew-Hermitian matrices."""
+    N, W = len(main), np.zeros_like(P)
+    for i in range(N):
+        W[..., i, i:] = main[i, : N - i] * P[..., i, i:]
+        if i:
+            W[..., i, i:] += beside[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
+        if i < N - 1:
+            W[..., i, i : N - 1] += beside[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :]
+    return _mirrored(W)
+
+
+class ScreenedSolve(DiagonalSolve):
+    """The stream of a potential vorticity on the sphere, ``(Laplacian - gamma - lamb mu^2) P = W``, of trace zero.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices.
+    lamb, gamma : float
+        Lamb's parameter, and the squared inverse of a constant deformation radius.
+
+    Raises
+    ------
+    ValueError
+        The matrices are so small for `lamb` that the operator is not negative.
+
+    Attributes
+    ----------
+    screening : (main, beside)
+        The tridiagonal matrices of ``gamma + lamb mu^2``.
+    """
+
+    centred = True
+    modes = "HARMONICS"
+
+    def __init__(self, N: int, lamb: float, gamma: float = 0.0) -> None:
+        main, beside = laplacian(N)
+        square, beside_square = squared_sine(N)
+        set_fields(self, screening=(gamma + lamb * square, lamb * beside_square))
+        super().__init__(main + self.screening[0], beside + self.screening[1], -1.0)
+        if (self.table[N * N :] > 0.0).any():
+            raise ValueError(
+                f"lamb is {lamb:g}; matrices of N = {N} are too small for it, N >= {lamb**0.25:.0f} are not"
+            )
+
+    screening: tuple[Floats, Floats]
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the diagonal elements of the stream between modes of a diagonal."""
+        below, inverse = (table[:, d] for table in self.table.reshape(2, len(self.main), -1))
+        vectors = modes.vectors(d, numbers)
+        if d == 0:  # the trace of a mode is zero, and that of its stream has no effect
+            below = np.concatenate([[0.0], below[1:]])
+        solved = vectors.copy()
+        for i in range(1, vectors.shape[1]):
+            solved[:, i] -= below[i] * solved[:, i - 1]
+        for i in range(vectors.shape[1] - 1, -1, -1):
+            solved[:, i] *= inverse[i]
+            if i < vectors.shape[1] - 1:
+                solved[:, i] -= below[i + 1] * solved[:, i + 1]
+        return np.asarray(np.sum(vectors * solved, axis=1))
+
+    def eigenmodes(self, m: int) -> tuple[Floats, Floats]:
+        """Return the eigenvalues of minus the operator on diagonal m, ascending, and unit vectors as columns."""
+        n = len(self.main) - m
+        from scipy.linalg import eigh_tridiagonal
+
+        values, vectors = eigh_tridiagonal(self.main[:n, m], self.beside[1:n, m])
+        return np.asarray(values, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
+
+
+def squared_sine(N: int) -> tuple[Floats, Floats]:
+    """Return the tridiagonal matrices of the product with mu^2, the squared sine of the latitude, to order 1/N^4."""
+    # On a diagonal X = {Z, .}/2 is diagonal, the mean of two z. Between degrees its elements are those of mu, times the
+    # root of (N^2 - l^2)/(N^2 - 1) for the larger degree l. So X^2 is mu^2 to order 1/N^2, as are (Z^2 P + P Z^2)/2 and
+    # Z P Z. Since l^2 is the mean of the eigenvalues of L of both degrees, with M = N^2 - 1
+    # X^2 (1 - 1/M) + (L X^2 + 2 X L X + X^2 L)/(4 M) is mu^2 to the next order, and tridiagonal too: the eigenvalues of
+    # waves are better than those of all three.
+    main, beside = laplacian(N)
+    i, m, M = np.arange(N)[:, None], np.arange(N)[None, :], N * N - 1
+    x = np.where(i + m < N, (N - 1 - 2 * i - m) / np.sqrt(M), 0.0)
+    above = np.concatenate([np.zeros((1, N)), x[:-1]])
+    return x * x * (1 - 1 / M) + main * x * x / M, beside * ((above + x) / 2) ** 2 / M
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicStream:
+    """P is a factor times each degree of a matrix of the sphere, such as of surface quasi-geostrophic flow.
+
+    Parameters
+    ----------
+    factors : (N,)
+        The factor of each degree l; that of degree 0 is zero.
+    """
+
+    factors: Floats
+    table: Floats = field(init=False, repr=False)
+
+    kind = "SYMMETRIC"
+    modes = "HARMONICS"
+
+    @property
+    def size(self) -> int:
+        """Number of rows of the matrices."""
+        return len(self.factors)
+
+    def __post_init__(self) -> None:
+        N = self.size
+        parts = []
+        for m in range(N):
+            V, f = harmonics(N, m), self.factors[m:]
+            for odd in range(2):
+                half = V[odd::2, : (N - m + 1 - odd) // 2]
+                parts.append((half.T * f[odd::2] @ half).ravel())
+        set_fields(self, table=np.concatenate(parts))
+
+    def __call__(self, W: Matrix) -> Matrix:
+        P = np.zeros_like(W)
+        for m in range(self.size):
+            c = coefficients_of_diagonal(np.diagonal(W, m, -2, -1), self.size, m)
+            i = np.arange(self.size - m)
+            P[..., i, i + m] = diagonal_of(c * self.factors[m:], self.size, m)
+        return _mirrored(P)
+
+    def inverse(self, P: Matrix) -> Matrix:
+        """Return W of P; degrees of factor zero are dropped."""
+        with np.errstate(divide="ignore"):
+            return HarmonicStream(np.where(self.factors == 0.0, 0.0, 1.0 / self.factors))(P)
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the eigenvalues of the stream on modes of a diagonal."""
+        return self.factors[numbers]
 
 
 def _mirrored(upper: Matrix) -> Matrix:

@@ -48,7 +48,7 @@ CODES(Turn, TURNS)
 }  // namespace turns
 
 // How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function.
-#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4)
+#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4) _(SYMMETRIC, 5)
 CODES(StreamKind, STREAMS)
 
 // Solution of the stages of a Runge-Kutta method.

@@ -72,12 +72,13 @@ struct SkewMidpoint final : Isospectral<T> {
         this->iterations = 0, this->evaluations = 1;
         this->status = DONE;
         bool corrected = false;
+        const double constant = stream.largest_constant();
         while (!corrected) {
             solve(W, h);
             if (!stream.apply(M.data(), t + 0.5 * h, G.data(), true)) return UNDEFINED;
             ++this->evaluations;
             pack(G, F);
-            const double size = largest_of(half, [=](int64_t k) { return f[k]; });
+            const double size = std::max(largest_of(half, [=](int64_t k) { return f[k]; }), constant);
             this->residual = largest_of(half, [=](int64_t k) { return f[k] -= p[k]; });
             if (this->ended(this->residual, size) || this->residual <= LAST_DIGIT * size) break;
             const bool last = this->residual <= NEAR * size;

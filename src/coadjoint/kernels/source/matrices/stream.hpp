@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <memory>
+#include <vector>
 
 #include "boundary/codes.hpp"
 #include "field/terms.hpp"
@@ -13,34 +14,43 @@ namespace coadjoint {
 
 // Contents of `numbers` by kind:
 //   TRIDIAGONAL: for each diagonal m from the main one upwards the factors L D L^T of a tridiagonal matrix, by rows:
-//                n x n below the diagonal of L, then n x n inverse pivots. On the main diagonal an inverse pivot of 0
-//                marks a matrix that ignores the trace: then the mean is subtracted.
+//                n x n below the diagonal of L, then n x n inverse pivots. A first number other than 0, which no row
+//                has below its diagonal, marks a map that ignores the trace: then the means of W and P are subtracted.
 //   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n off it.
 //   CIRCULANT:   for each cyclic diagonal d up to (n - 1)/2 the n entries of a circulant matrix's first column.
 //   WEIGHTS:     n x n factors of the entries.
+//   SYMMETRIC:   for each diagonal m from the main one upwards two symmetric matrices, of the even and of the odd part
+//                about its middle, (n - m + 1)/2 and (n - m)/2 squared numbers.
 //   BY_FUNCTION:    nothing.
 template <class T>
 class DiagonalMap {
   public:
     DiagonalMap(int64_t kind, int64_t size, const double* numbers)
         : kind(kind), n(size), numbers(numbers),
-          circulants(kind == CIRCULANT ? std::make_unique<Circulants<T>>(size, numbers) : nullptr) {}
+          circulants(kind == CIRCULANT ? std::make_unique<Circulants<T>>(size, numbers) : nullptr),
+          halves(kind == SYMMETRIC ? 2 * even_of(size) : 0) {}
 
     // The count of numbers that a map reads.
     static int64_t numbers_of(int64_t kind, int64_t n) {
         if (kind == CIRCULANT) return (n + 1) / 2 * n;
+        int64_t halves = 0;
+        for (int64_t m = 0; m < n; ++m) halves += even_of(n - m) * even_of(n - m) + (n - m) / 2 * ((n - m) / 2);
+        if (kind == SYMMETRIC) return halves;
         if (kind == WEIGHTS) return n * n;
         return kind == TRIDIAGONAL || kind == MULTIPLIED ? 2 * n * n : 0;
     }
 
     // Approximate number of multiplications.
-    int64_t work() const { return circulants ? circulants->work() : 4 * n * n; }
+    int64_t work() const {
+        return circulants ? circulants->work() : kind == SYMMETRIC ? 2 * numbers_of(kind, n) : 4 * n * n;
+    }
 
     // With `upper`, of skew-Hermitian matrices, entries of P below the diagonal may be left out.
     NOINLINE void apply(const T* W, T* P, bool upper) {
         if (kind == TRIDIAGONAL) solve(W, P);
         if (kind == MULTIPLIED) multiply(W, P);
-        if (!upper && (kind == TRIDIAGONAL || kind == MULTIPLIED)) mirror(P);
+        if (kind == SYMMETRIC) multiply_halves(W, P);
+        if (!upper && (kind == TRIDIAGONAL || kind == MULTIPLIED || kind == SYMMETRIC)) mirror(P);
         if (circulants) circulants->apply(W, P);
         if (kind == WEIGHTS)
             for (int64_t e = 0; e < n * n; ++e) P[e] = numbers[e] * W[e];
@@ -50,11 +60,12 @@ class DiagonalMap {
     const int64_t kind, n;
     const double* const numbers;
     const std::unique_ptr<Circulants<T>> circulants;
+    std::vector<T> halves;  // of one diagonal, the even one first
 
     // Row by row for all diagonals at once, so that dependent rows are adjacent.
     void solve(const T* W, T* P) const {
         const double *below = numbers, *inverse = numbers + n * n;
-        const bool unseen = inverse[(n - 1) * n] == 0.0;
+        const bool unseen = below[0] != 0.0;
         const T trace = unseen ? mean(W) : T(0.0);
         for (int64_t i = 0; i < n; ++i) {
             const T *from = W + i * n + i, *before = P + (i - 1) * n + i - 1;
@@ -94,6 +105,35 @@ class DiagonalMap {
                 if (m < n - i - 1) value += beside[(i + 1) * n + m] * at[n + 1];
                 P[i * n + i + m] = value;
             }
+    }
+
+    // The count of entries of the even part of a diagonal, with the middle one.
+    static int64_t even_of(int64_t length) { return (length + 1) / 2; }
+
+    // Columns are added in a fixed order, with the rows beside each other.
+    void multiply_halves(const T* W, T* P) {
+        const double* matrix = numbers;
+        for (int64_t m = 0; m < n; ++m) {
+            const int64_t length = n - m;
+            for (int64_t odd = 0; odd < 2; ++odd) {
+                const int64_t size = odd ? length / 2 : even_of(length);
+                T* const sum = halves.data() + odd * even_of(n);
+                std::fill_n(sum, size, T(0.0));
+                for (int64_t a = 0; a < size; ++a) {
+                    const int64_t b = length - 1 - a;
+                    const T here = W[a * n + a + m], there = a == b ? T(0.0) : W[b * n + b + m];
+                    const T part = odd ? here - there : here + there;
+                    for (int64_t i = 0; i < size; ++i) sum[i] += matrix[a * size + i] * part;
+                }
+                matrix += size * size;
+            }
+            const T *even = halves.data(), *odd = even + even_of(n);
+            for (int64_t a = 0; a < even_of(length); ++a) {
+                const int64_t b = length - 1 - a;
+                P[a * n + a + m] = a == b ? even[a] : even[a] + odd[a];
+                if (a != b) P[b * n + b + m] = even[a] - odd[a];
+            }
+        }
     }
 
     void mirror(T* P) const {
@@ -136,6 +176,14 @@ class Stream {
     }
 
     bool linear() const { return !function; }
+
+    // The largest number of the constant, whose round-off remains where it cancels, as in a state at rest.
+    double largest_constant() const {
+        const int64_t count = constant ? layers * n * n * int64_t(sizeof(T) / sizeof(double)) : 0;
+        double largest = 0.0;
+        for (int64_t e = 0; e < count; ++e) largest = std::max(largest, std::abs(constant[e]));
+        return largest;
+    }
 
     // The same without the constant, for a stream that is not a function.
     void apply_linear(const T* X, T* Y, bool upper = false) {
