@@ -56,6 +56,9 @@ SPELLINGS = {
 TIMES = ("t", "time", "times", "timestamp", "seconds", "simtime", "elapsedtime", "date", "epoch", "utc")
 """Names of the time, without signs and in small letters."""
 
+TIME_ENDINGS = "s", "ms", "us", "ns"
+"""Units of the time that may end its name without brackets; "t_h" and such may be something else."""
+
 _CANONICAL = {text: unit for unit, texts in SPELLINGS.items() for text in texts}
 _RATE_ENDINGS = {f"_{text}": unit for unit in ("rad/s", "deg/s") for text in SPELLINGS[unit] if "/" not in text}
 
@@ -141,7 +144,7 @@ def split_unit(name: str) -> tuple[str, str]:
             place = lower.find(ending)
             return text[:place] + text[place + len(ending) :], unit
     first, _, last = lower.rpartition("_")
-    if first in TIMES and canonical_unit(last) in UNITS["s"]:
+    if first in TIMES and canonical_unit(last) in TIME_ENDINGS:
         return text[: len(first)], canonical_unit(last)
     return text, ""
 

@@ -328,6 +328,12 @@ WRONG = {
         {},
         ("dates", "comment"),
     ),
+    "a direction of a comment": (
+        table(rows(X), "t,qx,qy,qz,qw", comment="# attitude from the body, SC_BODY_1, to space, J2000; t in seconds"),
+        {"direction": "space to body"},
+        ("comment", "body to space"),
+    ),
+    "a quaternion in two units": (table(RATED, "t,a,b,qw [1],qw [-],qx,qy,qz"), {}, ("'qw'", "rename")),
     "an epoch that is none": (table(rows(X), "t,qx,qy,qz,qw", comment="# t = 0 at noon UTC"), {}, ("noon",)),
     "a unit at the end": (table(rows(X), "t_ms,qx,qy,qz,qw"), {"time_unit": "us"}, ("ms", "us", "time_unit")),
     "rates without a unit": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {}, ("'wx'", "rates='rad/s'", "rates=False")),

@@ -74,23 +74,29 @@ def log_of_table(
         if of_time is None:
             raise ValueError(f"{file}: no column is named {', '.join(TIMES)}, but {', '.join(map(short, names))}")
         found["t"] = of_time
-    places = [f"{file}, line {number}" for number in table.numbers]
-    texts = [row[found["t"]] for row in table.rows]
-    t, epoch = _times(texts, places, units[found["t"]] if titles else "", time_unit, time_system)
-    ascending(t, lambda k: places[k])
     omega, of_rates = None, [found[name] for name in RATES[0] if name in found]
     if not of_rates:
         of_rates = _rate_columns(file, names, rates)
     _refuse_parts(file, found, RATES[0])
+    for k in {found["t"], *of_rates, *(found[name] for name in QUATERNION)}:
+        if titles and names.count(names[k]) > 1 and titles[k] not in [name for name, _ in given.values()]:
+            raise ValueError(f"{file}: several columns are named {short(names[k])}, in other units; rename all but one")
+    places = [f"{file}, line {number}" for number in table.numbers]
+    texts = [row[found["t"]] for row in table.rows]
+    t, epoch = _times(texts, places, units[found["t"]] if titles else "", time_unit, time_system)
+    ascending(t, lambda k: places[k])
     if of_rates and rates is not False:
         noted = {line.removeprefix(RATES_NOTE) for line in table.comments if line.startswith(RATES_NOTE)}
         unit = _rate_unit(file, [titles[k] for k in of_rates], {units[k] for k in of_rates}, noted, rates)
         omega = UNITS["rad/s"][unit] * _numbers(table, of_rates, places)
     rotation = rotations_of(_numbers(table, [found[name] for name in QUATERNION], places), lambda k: places[k])
     body, frame, noted_epoch = _noted_frames(table.comments, str(file))
+    if body and direction != DIRECTIONS[0]:
+        raise ValueError(f"{file}: direction is {short(direction)}, and a comment says {DIRECTIONS[0]}; leave it out")
     if epoch is not None and noted_epoch is not None:
         raise ValueError(f"{file} has dates and a comment with the date of t = 0; remove the comment")
-    return AttitudeLog(t, turned(rotation, direction), omega, frame, body, epoch or noted_epoch)
+    known = {"body": body} if body else {}
+    return AttitudeLog(t, turned(rotation, direction), omega, frame, epoch=epoch or noted_epoch, **known)
 
 
 def _expanded(columns: Any, attitude: Any) -> Any:
@@ -106,7 +112,7 @@ def _expanded(columns: Any, attitude: Any) -> Any:
         group = ("t",) if column == "time" else RATES[0] if column == "rates" else order
         if column == "quaternion" and attitude is None:
             raise ValueError(f"columns: the quaternion is {short(text)}, of which the order is not known; {ADVICE}")
-        parts = [text] if isinstance(text, str) else list(text)
+        parts = [text] if isinstance(text, str) else list(text) if isinstance(text, Sequence) else []
         if len(parts) != len(group):
             raise ValueError(f"columns: the {column} is {short(text)}; name {len(group)} columns")
         found += zip(group, parts, strict=True)
@@ -173,7 +179,7 @@ def table_text(log: AttitudeLog, tum: bool) -> str:
 
 def _noted_frames(comments: Sequence[str], file: str) -> tuple[str, str, Epoch | None]:
     """Return the names of the frames of the body and of space, and the epoch, from the comments of `table_text`."""
-    body, frame, epoch = "SC_BODY_1", "", None
+    body, frame, epoch = "", "", None
     for comment in comments:
         if comment.startswith(FRAMES_NOTE) and comment.endswith(SECONDS_NOTE):
             body, _, frame = comment.removeprefix(FRAMES_NOTE).removesuffix(SECONDS_NOTE).partition(", to space")
