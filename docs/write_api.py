@@ -73,7 +73,7 @@ MEMBERS_OF = (
     ("A phase drift", co.PhaseDrift, "growth plot"),
     ("A certificate", co.Certificate, "failures passed plot to_json to_mapping"),
     ("A row of a certificate", Row, ""),
-    ("A check-case", co.checkcases.CheckCase, "columns compare end reference write"),
+    ("A check-case", co.checkcases.CheckCase, "columns compare end reference spread write"),
     ("A comparison with a check-case", co.checkcases.Comparison, "columns passed plot"),
     ("A modified field", co.ModifiedField, "first_error keeps skew_matrix terms values"),
     ("A corrector", co.Corrector, "inverse"),

@@ -164,12 +164,18 @@ def matrices_of_quaternions(quaternions: Floats, what: str, scalar_first: bool =
         raise ValueError(f"{what} has a quaternion of norm {norms[wrong].flat[0]:g}; give unit quaternions")
     unit = quaternions / norms[..., None]
     w, x, y, z = np.moveaxis(unit if scalar_first else np.roll(unit, 1, axis=-1), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.ascontiguousarray(np.moveaxis(quaternion_matrix(w, x, y, z), (0, 1), (-2, -1)))
+
+
+def quaternion_matrix(w: Any, x: Any, y: Any, z: Any) -> Floats:
+    """Return the rotation matrix of a unit quaternion, (3, 3), or (3, 3, ...) of several."""
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
 
 
 def rotation_block(representation: Any) -> int | None:

@@ -27,6 +27,10 @@ from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
+INVERSES = (
+    'the measured "attitude" are fitted much better by their inverses: they are rotations from space to the body; give '
+    'their inverses, or read the log with direction="space to body"'
+)
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
 MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
 # Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
@@ -209,11 +213,12 @@ def fit(
     _check_determined(first, problem)
     problem, first = problem.near_attitudes(first)
     end = problem.minimum(first)
-    if end.status <= 0:
-        raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
+    if end.status <= 0:
+        advice = INVERSES if _are_inverse(ready, x0, unknown, problem, observe) else "give closer guesses"
+        raise ValueError(f"the minimum was not found in {end.nfev} evaluations; {advice}")
     J = problem.jacobian(np.zeros(count))
     _check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
@@ -229,8 +234,17 @@ def fit(
             'them "angular_velocity"',
             UserWarning,
         )
-    else:
-        _warn_of_contradiction(float(final @ final), freedom)
+    elif _contradicts(float(final @ final), freedom):
+        if _are_inverse(ready, x0, unknown, problem, observe):
+            warn_caller(INVERSES, UserWarning)
+        else:
+            warn_caller(
+                f"the residuals contradict sigma: the sum of their squares is {float(final @ final):.4g} for {freedom} "
+                "degrees of freedom, where as many are expected; the errors are larger than sigma, the measured values "
+                "are not those that they are named for, or the model is wrong, and the covariance holds for none of "
+                "these",
+                UserWarning,
+            )
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
 
 
@@ -253,14 +267,9 @@ def _are_rates(
         try:
             problem = FitProblem.of(ready, start, attitude, fitted.run, {**unknown, "x0": True})
             tried = problem.measuring(ready, renamed, observe)._replace(weights=weights, targets=renamed)
-            with warnings.catch_warnings():  # of trial steps, which the user did not ask for
-                warnings.simplefilter("ignore")
-                end = tried.minimum(tried.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except (ArithmeticError, ValueError):
             return math.nan
-        if tried.degrees_of_freedom <= 0:
-            return math.nan
-        return 2.0 * float(end.cost) / tried.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
+        return _variance(tried) + UNIT_ROUNDOFF * float(np.mean(of_x**2))
 
     units = np.concatenate([np.zeros((1, n)), np.eye(n)])
     rates = Quantities(ready, ["angular_velocity"], np.zeros(1), x0, {})
@@ -273,6 +282,42 @@ def _are_rates(
     if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
         return False
     return variance("x", x0) > enough
+
+
+def _variance(tried: FitProblem) -> float:
+    """Return the mean square of the residuals at the minimum; NaN without a fit."""
+    try:
+        with warnings.catch_warnings():  # of trial steps, which the user did not ask for
+            warnings.simplefilter("ignore")
+            near, first = tried.near_attitudes(tried.jacobian(np.zeros(len(tried.unknowns))))
+            end = near.minimum(first, max_nfev=MOST_EVALUATIONS)
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return math.nan
+    return 2.0 * float(end.cost) / tried.degrees_of_freedom if tried.degrees_of_freedom > 0 else math.nan
+
+
+def _are_inverse(
+    ready: PreparedRun, x0: Any, unknown: Mapping[str, Any], fitted: FitProblem, observe: Mapping[str, Any]
+) -> bool:
+    """Test whether the inverses of the measured rotations are fitted much better, whatever sigma is."""
+    targets, weights = fitted.targets, fitted.weights
+    if "attitude" not in targets or targets["attitude"].shape[-1] != 3:
+        return False
+
+    def variance(attitudes: Floats) -> float:
+        """Return the mean square of the residuals for attitudes, with the start of which the fit begins."""
+        try:
+            problem = FitProblem.of(ready, x0, attitudes[0], fitted.run, {**unknown, "attitude0": True})
+        except ValueError:
+            return math.nan
+        turned = {**targets, "attitude": attitudes}
+        return _variance(problem.measuring(ready, turned, observe)._replace(weights=weights, targets=turned))
+
+    rotations = targets["attitude"]
+    inverses = np.ascontiguousarray(np.swapaxes(rotations, -1, -2))
+    enough = variance(inverses) * math.exp(-2.0 * math.log(CONTRADICTION) / rotations.size)
+    residuals, freedom = fitted.residuals_of(fitted.outputs()), fitted.degrees_of_freedom
+    return float(residuals @ residuals) / freedom > enough and not variance(rotations) <= enough
 
 
 def _as_saved(name: str, value: Any, ready: PreparedRun, times: Floats) -> Any:
@@ -296,17 +341,11 @@ def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:
     return found
 
 
-def _warn_of_contradiction(squares: float, freedom: int) -> None:
-    """Warn if residuals with independent normal errors have such a sum of squares hardly ever."""
+def _contradicts(squares: float, freedom: int) -> bool:
+    """Test whether residuals with independent normal errors have such a sum of squares hardly ever."""
     from scipy.special import gammaincc
 
-    if freedom > 0 and gammaincc(0.5 * freedom, 0.5 * squares) < CONTRADICTION:
-        warn_caller(
-            f"the residuals contradict sigma: the sum of their squares is {squares:.4g} for {freedom} degrees of "
-            "freedom, where as many are expected; the errors are larger than sigma, the measured values are not those "
-            "that they are named for, or the model is wrong, and the covariance holds for none of these",
-            UserWarning,
-        )
+    return freedom > 0 and bool(gammaincc(0.5 * freedom, 0.5 * squares) < CONTRADICTION)
 
 
 def _weights(

@@ -93,10 +93,15 @@ class BodyModel:
     rotors : (3,)
         Angular momentum of rotors relative to the body, in the body frame, kg m^2/s.
     torque : callable, optional
-        External torque in the body frame, N m, from the time and the attitude matrix; None if it is not a function of
-        these alone.
+        External torque in the body frame, N m, from the time, the quaternion, the rates and the inertia tensor; None
+        without one. Components are the first axes, (4,), (3,) and (3, 3), and a further last axis is that of several
+        motions.
+    period : float, optional
+        Time for which the torque is held by a computer that evaluates it at multiples, s.
     potential : callable, optional
         Potential energy, J, from attitude matrices (k, 3, 3).
+    orbital_frame : callable, optional
+        Angle of the orbital frame about the third axis of space, rad, and its rate, rad/s, from times (k,).
     principal_axes : (3, 3), optional
         Rotation R of the statement, if the tensor is given as ``R diag(moments) R^T``.
     is_free : bool
@@ -113,8 +118,10 @@ class BodyModel:
     rates: Floats
     attitude: Floats = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     rotors: Floats = field(default_factory=lambda: np.zeros(3))
-    torque: Callable[[float, Floats], Floats] | None = None
+    torque: Callable[[float, Floats, Floats, Floats], Floats] | None = None
+    period: float | None = None
     potential: Callable[[Floats], Floats] | None = None
+    orbital_frame: Callable[[Floats], tuple[Floats, Floats]] | None = None
     principal_axes: Floats | None = None
     is_free: bool = False
 
@@ -161,8 +168,6 @@ class CheckCase:
         Further certain numbers, such as a period, from names to pairs of a value and its unit.
     published : mapping
         Published samples of simulators, by name, as columns.
-    spread : callable, optional
-        Function without arguments: the difference of the references of two orders, if they are integrated.
 
     Raises
     ------
@@ -194,7 +199,6 @@ class CheckCase:
     body: BodyModel | None = None
     results: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
     published: Mapping[str, Columns] = field(default_factory=dict)
-    spread: Callable[[], float] | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -205,6 +209,25 @@ class CheckCase:
     def end(self) -> float:
         """Last time for which the accuracy is stated, s."""
         return float(self.times[-1])
+
+    def spread(self) -> float:
+        """Return the difference of the references by schemes of two orders, which the accuracy bounds.
+
+        Returns
+        -------
+        float
+            Largest difference of the states at the sampled times, relative to the largest of each coordinate; 0 for a
+            closed form, which is evaluated in one way.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> case = co.checkcases.get("gyrostat", end=5.0)
+        >>> 0.0 < case.spread() < case.accuracy
+        True
+        """
+        spread = getattr(self.motion, "spread", None)
+        return 0.0 if spread is None else float(spread(self.times))
 
     def reference(self, t: npt.ArrayLike | None = None) -> Columns:
         """Return the certain motion, by columns.

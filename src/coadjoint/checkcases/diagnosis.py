@@ -8,17 +8,27 @@ repeats on what it leaves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import combinations, permutations, product
+from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from coadjoint.checkcases.attitudes import body_columns, free_columns, rotations_of, stacked
-from coadjoint.checkcases.check_case import CheckCase, Columns, DerivedQuantity, Quantity
+from coadjoint.checkcases.altered_motions import (
+    LEAST_ROWS,
+    MOTION_ACCURACY,
+    Law,
+    Parameter,
+    alterations,
+    law_of,
+    motions,
+    parameters,
+)
+from coadjoint.checkcases.attitudes import rotations_of, stacked
+from coadjoint.checkcases.check_case import RATES, CheckCase, Columns, DerivedQuantity, Quantity
 from coadjoint.checkcases.emulated_schemes import emulated_runs
 
 Floats = npt.NDArray[np.float64]
@@ -35,6 +45,18 @@ WIDEST_RATE = 0.05  # relative change of the clock
 DENSE = 2000  # points of the interpolated reference
 LEAST_SAMPLES = 4  # for other axes, which are fitted
 FIT_ITERATIONS = 5  # of the rate of axes that turn
+FIT_SHARES = (
+    1 / 16,
+    1 / 8,
+    1 / 4,
+    1 / 2,
+    1.0,
+)  # of the samples, to which numbers of a law are fitted one after the other
+FIT_ROWS = 6
+FIT_STEPS = 3  # of Gauss and Newton, for each share
+FIT_DIFFERENCE = 1e-6
+FIT_LEAST, FIT_GAIN = 0.2, 0.5  # share of the samples from which on the errors must be smaller by this factor
+FASTEST_START = 10.0  # of another start, relative to the rates of the case
 STEADY = 0.9  # share of the variance of an invariant that a straight line explains, if it grows steadily
 
 
@@ -45,6 +67,11 @@ class Explanation(NamedTuple):
     table: Table
     reference: Table
     rows: Any = slice(None)
+    kind: str = ""  # of motions by another law: those of other kinds with the same motion are named with it
+
+    def least(self, tolerance: float) -> float:
+        """Return the error below which nothing is left to explain."""
+        return max(tolerance, MOTION_ACCURACY) if self.kind else tolerance
 
 
 class Problem(NamedTuple):
@@ -59,16 +86,25 @@ class Problem(NamedTuple):
 
     def errors(self, table: Table, reference: Table, rows: Any = slice(None)) -> dict[str, float]:
         """Return root-mean-square errors of quantities, relative or in radians."""
+        found = self.differences(table, reference, rows)
+        return {name: float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for name, each in found.items()}
+
+    def residuals(self, table: Table, reference: Table) -> Floats:
+        """Return all differences of the rows of a reference, as one vector."""
+        rows = slice(0, len(next(iter(reference.values()))))
+        return np.concatenate([each.ravel() for each in self.differences(table, reference, rows).values()])
+
+    def differences(self, table: Table, reference: Table, rows: Any) -> dict[str, Floats]:
+        """Return the differences of quantities, relative to their sizes, or as rotation vectors, (k, n)."""
         found = {}
         for quantity in self.quantities:
             names = quantity.columns
             if quantity.kind == "attitude":
                 between = rotations_of(table, names)[rows].inv() * rotations_of(reference, names)[rows]
-                found[quantity.name] = float(np.sqrt(np.mean(between.magnitude() ** 2)))
+                found[quantity.name] = np.asarray(between.as_rotvec())
             else:
-                difference = (stacked(table, names) - stacked(reference, names))[rows]
                 size = np.linalg.norm(stacked(self.reference, names), axis=1).max() or 1.0
-                found[quantity.name] = float(np.sqrt(np.mean(np.sum(difference**2, axis=1)))) / float(size)
+                found[quantity.name] = (stacked(table, names)[rows] - stacked(reference, names)[rows]) / size
         return found
 
     def score(self, table: Table, reference: Table, rows: Any = slice(None)) -> float:
@@ -112,20 +148,21 @@ def diagnose(
     )
     findings: list[str] = []
     kept = _kept_invariants(problem)
+    left = tolerance
     for _ in range(MAX_FINDINGS):
-        if max(problem.errors(problem.table, problem.reference).values()) <= tolerance:
+        if max(problem.errors(problem.table, problem.reference).values()) <= left:
             break
         found = _best(problem)
         if found is None:
             break
         findings.append(found.sentence)
-        rows = found.rows
+        rows, left = found.rows, found.least(left)
         problem = problem._replace(
             table={name: np.asarray(values)[rows] for name, values in found.table.items()},
             reference={name: np.asarray(values)[rows] for name, values in found.reference.items()},
         )
     has_mistake = bool(findings)
-    if max(problem.errors(problem.table, problem.reference).values()) > tolerance:
+    if max(problem.errors(problem.table, problem.reference).values()) > left:
         findings += _steady_changes(problem, kept)
     return findings, has_mistake
 
@@ -141,12 +178,28 @@ def _best(problem: Problem) -> Explanation | None:
             gain = before - problem.score(trial.table, trial.reference, trial.rows)
             if math.isfinite(gain) and gain > 0.0:
                 left = problem.errors(trial.table, trial.reference, trial.rows)
-                trials.append((gain, trial, max(left.values()) <= problem.tolerance))
+                trials.append((gain, trial, max(left.values()) <= trial.least(problem.tolerance)))
     best = max((gain for gain, _, _ in trials), default=0.0)
     if best < math.log(LEAST_FACTOR):
         return None
     likely = max(best - math.log(SIMPLER), math.log(LEAST_FACTOR))
-    return next(trial for gain, trial, _ in trials if gain >= likely)
+    found = next(trial for gain, trial, _ in trials if gain >= likely)
+    return _with_same_motions(problem, found, [trial for gain, trial, _ in trials if gain >= likely])
+
+
+def _with_same_motions(problem: Problem, found: Explanation, others: Sequence[Explanation]) -> Explanation:
+    """Add mistakes of other kinds that have the same motion, which the samples cannot tell apart."""
+    kinds, sentences = {found.kind}, [found.sentence]
+    for each in others if found.kind else ():
+        if not each.kind or each.kind in kinds or each.rows != found.rows:
+            continue
+        apart = problem.errors(found.reference, each.reference)
+        if max(apart.values()) <= max(problem.tolerance, 10.0 * MOTION_ACCURACY):
+            kinds.add(each.kind)
+            sentences.append(each.sentence)
+    if len(sentences) == 1:
+        return found
+    return found._replace(sentence=f"{', or '.join(sentences)} (these motions are the same)")
 
 
 def _pairs(problem: Problem) -> Iterator[tuple[Quantity, Quantity | None, str]]:
@@ -185,6 +238,13 @@ def _rates(problem: Problem) -> Iterator[Explanation]:
             tensor = problem.case.body.inertia
             if np.linalg.matrix_rank(tensor) == 3:
                 variants.append(("angular momenta in the body frame", np.linalg.solve(tensor, w.T).T))
+            orbit = problem.case.body.orbital_frame
+            if orbit is not None and attitude is not None:
+                turning = np.zeros_like(w)
+                turning[:, 2] = orbit(problem.reference["t"])[1]
+                variants.append(
+                    ("relative to the orbital frame, not to inertial space", w + turned.inv().apply(turning))
+                )
         for what, values in variants:
             yield Explanation(
                 f"the rates{of} are {what}", _with(problem.table, rates.columns, values), problem.reference
@@ -220,6 +280,12 @@ def _quaternions(problem: Problem) -> Iterator[Explanation]:
         for what, values in variants:
             table = _with(problem.table, quantity.columns, values)
             yield Explanation(f"the quaternion{of} {what}", table, problem.reference)
+        orbit = None if problem.case.body is None or of else problem.case.body.orbital_frame
+        if orbit is not None:
+            angle = orbit(problem.reference["t"])[0]
+            turned = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]) * rotations_of(problem.table)
+            table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
+            yield Explanation("the attitude is relative to the orbital frame, not to space", table, problem.reference)
         if len(q) < LEAST_SAMPLES:
             continue
         mine, certain = (rotations_of(each, quantity.columns) for each in (problem.table, problem.reference))
@@ -232,73 +298,84 @@ def _quaternions(problem: Problem) -> Iterator[Explanation]:
                 yield Explanation(sentence, table, problem.reference)
 
 
-def _tensors(problem: Problem) -> Iterator[Explanation]:
-    """Yield motions of free bodies with other tensors, or without the gyroscopic torque."""
+def _altered(problem: Problem) -> Iterator[Explanation]:
+    """Yield the motions of a body by the laws of common mistakes."""
     body = problem.case.body
-    if body is None or not body.is_free or np.linalg.matrix_rank(body.inertia) < 3:
-        return
-    t, start = problem.reference["t"], Rotation.from_quat(np.roll(body.attitude, -1))
-    inertia, R = body.inertia, body.principal_axes
-    diagonal = np.diag(np.diag(inertia))
-    tensors: list[tuple[str, Any]] = []
-    if np.abs(inertia - diagonal).max() > 0.0:
-        tensors.append(("the products of inertia have the opposite sign", 2.0 * diagonal - inertia))
-        tensors.append(("the products of inertia are left out", diagonal))
-        if R is not None:
-            moments = np.diag(R.T @ inertia @ R)
-            tensors.append(
-                ("the tensor is transposed: its principal axes are turned the other way", R.T @ (moments[:, None] * R))
-            )
-            tensors.append(("the tensor is that of the principal axes, without their rotation", np.diag(moments)))
-    tensors.append(("the inverse of the tensor was taken for it", np.linalg.inv(inertia)))
-    for i, j in combinations(range(3), 2):
-        if inertia[i, j]:
-            other = inertia.copy()
-            other[i, j] = other[j, i] = -inertia[i, j]
-            tensors.append((f"the product of inertia I_{'xyz'[i]}{'xyz'[j]} has the opposite sign", other))
-    for order in list(permutations(range(3)))[1:]:
-        named = ", ".join("xyz"[k] for k in order)
-        tensors.append((f"the moments are exchanged: x, y, z have those of {named}", inertia[np.ix_(order, order)]))
-    for sentence, tensor in tensors:
-        if not _is_tensor(tensor):
-            continue
-        columns = free_columns(tensor, body.rates, t)
-        yield Explanation(sentence, problem.table, {"t": t, **_started(columns, start)})
-    constant = np.tile(body.rates, (len(t), 1))
-    still = body_columns(constant, start * Rotation.from_rotvec(t[:, None] * body.rates))
-    yield Explanation(
-        "the gyroscopic torque w x I w is missing: the rates are constant", problem.table, {"t": t, **still}
-    )
+    if body is not None:
+        tried = tuple(alterations(body))
+        columns = _motions(problem, [each.law for each in tried])
+        for each, motion in zip(tried, columns, strict=True):
+            yield from _moved(problem, each.kind, each.sentence, motion)
 
 
-def _free_motions(problem: Problem) -> Iterator[Explanation]:
-    """Yield motions of free bodies from the rates of the first sample, or without the torque of the case."""
+def _motions(problem: Problem, laws: Sequence[Law]) -> list[Columns]:
+    """Return the motions by several laws at the times of the samples, as far as they are reached."""
     body = problem.case.body
-    if body is None or body.rotors.any() or np.linalg.matrix_rank(body.inertia) < 3:
+    assert body is not None
+    size = float(np.linalg.norm(stacked(problem.reference, RATES.columns), axis=1).max())
+    return motions(body, laws, problem.reference["t"], size)
+
+
+def _moved(problem: Problem, kind: str, sentence: str, motion: Columns) -> Iterator[Explanation]:
+    """Yield a motion in place of the reference, on the rows that it has."""
+    reached = len(motion[RATES.columns[0]])
+    if reached >= min(LEAST_ROWS, len(problem.reference["t"])):
+        reference = {"t": problem.reference["t"][:reached], **motion}
+        yield Explanation(sentence, problem.table, reference, slice(0, reached), kind)
+
+
+def _other_numbers(problem: Problem) -> Iterator[Explanation]:
+    """Yield the motions of a body with another number of its law, or another start, fitted one at a time."""
+    body = problem.case.body
+    if body is None:
         return
-    t, start = problem.reference["t"], Rotation.from_quat(np.roll(body.attitude, -1))
-    rates, sentence = body.rates, "the torque is missing: the samples are the motion of the free body"
-    if body.is_free:
-        if t[0] != 0.0 or all(quantity.name != "rates" for quantity in problem.quantities):
-            return
-        rates = stacked(problem.table, ("wx", "wy", "wz"))[0]
+    t = problem.reference["t"]
+    fitted = fit_numbers(problem, list(parameters(body)))
+    laws = [(each.kind, each.sentence(factor), each.law(factor)) for each, factor in fitted]
+    if t[0] == 0.0 and any(quantity.name == RATES.name for quantity in problem.quantities):
+        rates = stacked(problem.table, RATES.columns)[0]
+        fastest = float(np.linalg.norm(stacked(problem.reference, RATES.columns), axis=1).max())
         given, wanted = (", ".join(f"{float(v):.6g}" for v in each) for each in (rates, body.rates))
         sentence = f"the rates at the start are ({given}), not ({wanted}) rad/s"
-    elif body.torque is None:
-        return
-    if rates.any():
-        columns = free_columns(body.inertia, rates, t)
-        yield Explanation(sentence, problem.table, {"t": t, **_started(columns, start)})
+        if np.linalg.norm(rates) <= FASTEST_START * fastest:
+            laws.append(("start", sentence, law_of(body)._replace(rates=rates)))
+    if laws:
+        columns = _motions(problem, [law for _, _, law in laws])
+        for (kind, sentence, _), motion in zip(laws, columns, strict=True):
+            yield from _moved(problem, kind, sentence, motion)
 
 
-def _is_tensor(tensor: Floats) -> bool:
-    moments = np.linalg.eigvalsh(tensor)
-    return bool(moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-12))
+def fit_numbers(problem: Problem, numbers: Sequence[Parameter]) -> list[tuple[Parameter, float]]:
+    """Return numbers and the factors with the least errors, without those that leave their bounds or gain nothing.
 
-
-def _started(columns: Columns, start: Rotation) -> Columns:
-    """Return columns of a motion from the attitude of space, from another start."""
-    return body_columns(stacked(columns, ("wx", "wy", "wz")), start * rotations_of(columns))
+    Gauss-Newton steps of each number alone, on samples up to longer and longer times, since errors of the phase have
+    other minima beyond a revolution.
+    """
+    t, factors = problem.reference["t"], {k: 1.0 for k in range(len(numbers))}
+    ends = [int(np.searchsorted(t, t[-1] * share, side="right")) for share in FIT_SHARES]
+    for until in (each for each in ends if each >= FIT_ROWS or each == len(t)):
+        early = problem._replace(
+            table={name: values[:until] for name, values in problem.table.items()},
+            reference={name: values[:until] for name, values in problem.reference.items()},
+        )
+        size = float(np.linalg.norm(early.residuals(early.table, early.reference)))
+        for step in range(FIT_STEPS):
+            laws = [numbers[k].law(f + change) for k, f in factors.items() for change in (0.0, FIT_DIFFERENCE)]
+            if not laws:
+                return []
+            columns = _motions(early, laws)
+            for j, k in enumerate(tuple(factors)):
+                near, far = (early.residuals(early.table, columns[2 * j + i]) for i in (0, 1))
+                slope = (far - near) / FIT_DIFFERENCE
+                square = float(slope @ slope)
+                factor = factors[k] - float(slope @ near) / square if square else math.nan
+                low, high = numbers[k].bounds
+                is_better = step == 0 or until < FIT_LEAST * len(t) or float(np.linalg.norm(near)) < FIT_GAIN * size
+                if low <= factor <= high and is_better:
+                    factors[k] = factor
+                else:
+                    del factors[k]
+    return [(numbers[k], factor) for k, factor in factors.items()]
 
 
 def _clocks(problem: Problem) -> Iterator[Explanation]:
@@ -417,7 +494,7 @@ def _continuous(q: Floats) -> Floats:
 def _precession(problem: Problem) -> Iterator[Explanation]:
     """Yield an attitude that turns about the angular momentum at another rate."""
     body, names = problem.case.body, {quantity.name for quantity in problem.quantities}
-    if body is None or "attitude" not in names:
+    if body is None or body.torque is not None or "attitude" not in names:
         return
     t, certain, mine = problem.reference["t"], rotations_of(problem.reference), rotations_of(problem.table)
     momentum = certain.apply(stacked(problem.reference, ("wx", "wy", "wz")) @ body.inertia + body.rotors)
@@ -516,12 +593,12 @@ def _scales(problem: Problem) -> Iterator[Explanation]:
 CANDIDATES: tuple[Callable[[Problem], Iterator[Explanation]], ...] = (
     _rates,
     _quaternions,
-    _tensors,
+    _altered,
     _schemes,
     _precession,
     _turning_frames,
     _clocks,
-    _free_motions,
+    _other_numbers,
     _scales,
 )
 """Kinds of mistakes, simpler ones first."""

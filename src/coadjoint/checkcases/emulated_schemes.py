@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.checkcases.altered_motions import Field, law_of, motion_field, quaternion_product, velocity_field
 from coadjoint.checkcases.check_case import BodyModel, Columns
 
 Floats = npt.NDArray[np.float64]
-Field = Callable[[float, Floats], Floats]
-"""Derivative of (w, q), seven numbers."""
 
 MAX_STEPS = 10_000  # of each scheme, some seconds; later samples are left out
 ON_STEP = 1e-6  # of a step, the deviation of a sample from it
@@ -21,13 +20,17 @@ LEAST_ROWS = 2
 
 def emulated_runs(body: BodyModel, step: float, times: Floats) -> Iterator[tuple[str, int, Any, Columns]]:
     """Yield name, order, rows of the times that are steps, and the columns there, of each scheme."""
-    if (body.torque is None and not body.is_free and not body.rotors.any()) or np.linalg.matrix_rank(body.inertia) < 3:
+    if body.period is not None:
         return
     counts = np.round(times / step)
     rows = np.flatnonzero((np.abs(times / step - counts) < ON_STEP * np.maximum(counts, 1.0)) & (counts <= MAX_STEPS))
     if len(rows) < LEAST_ROWS:
         return
-    wanted, field, velocity = counts[rows].astype(int), _field_of(body), _velocity_field_of(body)
+    wanted, field, velocity = (
+        counts[rows].astype(int),
+        motion_field(body, law_of(body)),
+        velocity_field(body, law_of(body)),
+    )
     start = np.concatenate([body.rates, body.attitude])
     for label, order, scheme in SCHEMES:
         y, values, saved = start, [], set(wanted.tolist())
@@ -48,54 +51,12 @@ def emulated_runs(body: BodyModel, step: float, times: Floats) -> Iterator[tuple
             )
 
 
-def _velocity_field_of(body: BodyModel) -> Field:
-    inverse = np.linalg.inv(body.inertia)
-
-    def velocity_field(t: float, y: Floats) -> Floats:
-        w = y[:3]
-        (L1, L2, L3), (w1, w2, w3) = body.inertia @ w + body.rotors, w
-        moment = np.array([L2 * w3 - L3 * w2, L3 * w1 - L1 * w3, L1 * w2 - L2 * w1])
-        if body.torque is not None:
-            moment = moment + body.torque(t, matrix_of(y[3:]))
-        return np.asarray(inverse @ moment)
-
-    return velocity_field
-
-
-def _field_of(body: BodyModel) -> Field:
-    velocity = _velocity_field_of(body)
-
-    def field(t: float, y: Floats) -> Floats:
-        return np.concatenate([velocity(t, y), 0.5 * product(y[3:], y[:3])])
-
-    return field
-
-
-def product(q: Floats, v: Floats) -> Floats:
-    """Return the quaternion product q (0, v), scalar first."""
-    a, b, c, d = q
-    x, y, z = v
-    return np.array([-b * x - c * y - d * z, a * x + c * z - d * y, a * y + d * x - b * z, a * z + b * y - c * x])
-
-
-def matrix_of(q: Floats) -> Floats:
-    """Return the rotation matrix of a quaternion, scalar first."""
-    a, b, c, d = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)],
-            [2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)],
-            [2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)],
-        ]
-    )
-
-
 def _turned(q: Floats, w: Floats, h: float) -> Floats:
     """Return q after a rotation at the constant rate w of the body, for a time h."""
     rate = float(np.linalg.norm(w))
     if not rate:
         return q
-    return np.asarray(np.cos(0.5 * rate * h) * q + np.sin(0.5 * rate * h) / rate * product(q, w))
+    return np.asarray(np.cos(0.5 * rate * h) * q + np.sin(0.5 * rate * h) / rate * quaternion_product(q, w))
 
 
 def _explicit_euler(field: Field, velocity: Field, t: float, h: float, y: Floats, memory: Any) -> Floats:
@@ -108,7 +69,7 @@ def _euler_exponential(field: Field, velocity: Field, t: float, h: float, y: Flo
 
 def _semi_implicit(field: Field, velocity: Field, t: float, h: float, y: Floats, memory: Any) -> Floats:
     w = y[:3] + h * velocity(t, y)
-    return np.concatenate([w, y[3:] + 0.5 * h * product(y[3:], w)])
+    return np.concatenate([w, y[3:] + 0.5 * h * quaternion_product(y[3:], w)])
 
 
 def _semi_implicit_exponential(field: Field, velocity: Field, t: float, h: float, y: Floats, memory: Any) -> Floats:

@@ -19,13 +19,17 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class IntegratedMotion:
-    """A run of a system from x0 by the first of two schemes; `columns` converts states (k, n) at times (k,)."""
+    """A run of a system from x0 by the first of two schemes; `columns` converts states (k, n) at times (k,).
+
+    Times of the system, its step too, are in units of `time_unit` seconds.
+    """
 
     system: Any
     x0: Floats
     step: float
     methods: tuple[Method, Method]
     columns: Callable[[Floats, Floats], Columns]
+    time_unit: float = 1.0
 
     def states(self, times: Floats, method: Method) -> Floats:
         """Return the states at times in any order, (k, n)."""
@@ -46,14 +50,11 @@ class IntegratedMotion:
         return states
 
     def __call__(self, times: Floats) -> Columns:
-        return self.columns(self.states(times, self.methods[0]), times)
+        t = times / self.time_unit
+        return self.columns(self.states(t, self.methods[0]), t)
 
     def spread(self, times: Floats) -> float:
         """Return the largest difference of the states by both schemes, relative to the largest of each coordinate."""
-        return relative_difference(*(self.states(times, method) for method in self.methods))
-
-
-def relative_difference(first: Floats, second: Floats) -> float:
-    """Return the largest difference of states (k, n), relative to the largest of each coordinate."""
-    sizes = np.abs(first).max(axis=0)
-    return float((np.abs(first - second).max(axis=0) / np.where(sizes > 0.0, sizes, 1.0)).max())
+        first, second = (self.states(times / self.time_unit, method) for method in self.methods)
+        sizes = np.abs(first).max(axis=0)
+        return float((np.abs(first - second).max(axis=0) / np.where(sizes > 0.0, sizes, 1.0)).max())

@@ -24,7 +24,7 @@ BLOCKS = "META", "DATA", "COVARIANCE"
 
 
 class TextLine(NamedTuple):
-    """A line of a file: its number from 1 on, and its text without spaces around it."""
+    """A line of a file: its number from 1 on, and its text without spaces around it; tabs are cells of a table."""
 
     number: int
     text: str
@@ -46,7 +46,7 @@ def lines_of(path: Any) -> tuple[Path, list[TextLine]]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as reason:
         raise ValueError(f"{file} is no text: byte {reason.start} is not UTF-8") from None
-    lines = [TextLine(k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [TextLine(k, line.strip(" ")) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         raise ValueError(f"{file} is empty")
     return file, lines
@@ -65,7 +65,7 @@ def messages_of(file: Path, lines: Sequence[TextLine], kind: str) -> tuple[str, 
     segments: list[MessageSegment] = []
     block = "header"
     for line in lines[1:]:
-        text = line.text
+        text = line.text.strip()
         if text.startswith("COMMENT"):
             continue
         begin, _, end = text.rpartition("_")

@@ -25,7 +25,7 @@ def test_the_size_of_a_file_is_bounded(case, tmp_path, monkeypatch, bytes_and_al
     with open(tmp_path / "large.csv", "wb") as file:
         file.truncate(size)
     seen = []
-    monkeypatch.setattr("coadjoint.checkcases.tables.check_available_memory", lambda *_: seen.append(1) or 1 / 0)
+    monkeypatch.setattr("coadjoint.regular_files.check_available_memory", lambda *_: seen.append(1) or 1 / 0)
     with refused(ZeroDivisionError if allowed else ValueError, "division" if allowed else "bytes"):
         case.compare(tmp_path / "large.csv")
     assert bool(seen) == allowed

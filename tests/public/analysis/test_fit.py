@@ -429,3 +429,20 @@ def test_degrees_of_freedom_of_measured_attitudes():
         exact = ready.run(x0, (0, 2), save_every=4)
         found = co.fit(ready, x0, (0, 2), {"attitude": exact.attitude}, {"inertia": (0,)}, 4, sigma={"attitude": 0.01})
         assert found.degrees_of_freedom == size * len(exact.t) - 1
+
+
+@pytest.mark.filterwarnings("ignore:inertia:UserWarning")
+@pytest.mark.parametrize("start", ["of the log", "of the body"])
+@pytest.mark.parametrize("is_inverse", [False, True], ids=["body to space", "space to body"])
+def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
+    """Residuals that contradict sigma are warned of either way, and the direction if it is the cause."""
+    rng, sigma = np.random.default_rng(3), 0.01
+    turned = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    body = lambda inertia: co.prepare(co.systems.rigid_body(inertia), SCHEME, 0.05, attitude=True)  # noqa: E731
+    exact = body((1.0, 2.0, 2.5)).run((1.0, 0.2, 0.5), (0, 10), 10, attitude=turned.as_matrix()).rotation
+    log = exact * Rotation.from_rotvec(3.0 * sigma * rng.standard_normal((len(exact), 3)))  # larger than sigma
+    log = log.inv() if is_inverse else log
+    first = log[0] if start == "of the log" else turned
+    options = {"sigma": {"attitude": sigma}, "attitude": first.as_matrix()}
+    with pytest.warns(UserWarning, match="inverses.*space to body" if is_inverse else "contradict sigma"):
+        co.fit(body((1.0, 2.0, 2.4)), (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, {"inertia": (2,)}, 10, **options)

@@ -113,7 +113,8 @@ def test_parquet_is_read(case, tmp_path):
 
 
 WRONG = {
-    "no numbers": ("", "no line"),
+    "no numbers": ("# nothing\n", "no line"),
+    "nothing": ("", "empty"),
     "names alone": ("t,wx,wy,wz\n", "no line of numbers"),
     "a word": ("t,wx,wy,wz\n0,1,2,3\n1,1,two,3\n", "line 3: 'two'"),
     "decimal commas": ("t;wx;wy;wz\n0;1,5;2;3\n", "decimal points"),

@@ -30,6 +30,8 @@ W_FIRST = X[:, [3, 0, 1, 2]]
 RATED = [[t, *w, *q] for t, w, q in zip(T.tolist(), OMEGA.tolist(), W_FIRST.tolist(), strict=True)]
 IN_DEGREES = [[t, *np.degrees(w).tolist(), *q] for t, w, q in zip(T.tolist(), OMEGA, W_FIRST.tolist(), strict=True)]
 DATES = [[f"2026-03-01T12:00:{t:06.3f}", *q] for t, q in zip(T.tolist(), W_FIRST.tolist(), strict=True)]
+IN_TURNS = [[t, *(30 / np.pi * w).tolist(), *q] for t, w, q in zip(T.tolist(), OMEGA, W_FIRST.tolist(), strict=True)]
+OTHER = {"time": "stamp", "quaternion": ["a", "b", "c", "d"]}
 CSV = {
     "named": (table(rows(W_FIRST), "t,qw,qx,qy,qz"), {}),
     "named last": (table(rows(X), "time,qx,qy,qz,qw"), {}),
@@ -52,6 +54,27 @@ CSV = {
     "nanoseconds": (table(rows(X, t=1e9 * T), "timestamp [ns],qx,qy,qz,qw"), {"time_unit": "ns"}),
     "milliseconds": (table(rows(X, t=1e3 * T), "t_ms,qx,qy,qz,qw"), {"time_unit": "ms"}),
     "dates": (table(DATES, "date,qw,qx,qy,qz"), {"time_system": "TAI"}),
+    "milliseconds by name": (table(rows(X, t=1e3 * T), "t [ms],qx,qy,qz,qw"), {}),
+    "minutes": (table(rows(X, t=T / 60.0), "Time (min),qx,qy,qz,qw"), {}),
+    "spaces": (table(rows(W_FIRST), "t qw qx qy qz", " "), {}),
+    "percent signs": (table(rows(W_FIRST), "t,qw,qx,qy,qz", comment="% made by others"), {}),
+    "rates in turns a minute": (
+        table(IN_TURNS, "t,wx [rpm],wy [rpm],wz [rpm],qw,qx,qy,qz"),
+        {},
+    ),
+    "other names": (table(rows(W_FIRST), "stamp,a,b,c,d"), {"columns": OTHER, "attitude": "wxyz"}),
+    "other names, last": (table(rows(X), "stamp,a,b,c,d"), {"columns": OTHER, "attitude": "xyzw"}),
+    "other names one by one": (
+        table(rows(X, t=1e3 * T), "stamp,a,b,c,d"),
+        {"columns": {"t": "stamp[ms]", "qx": "a", "qy": "b", "qz": "c", "qw": "d"}},
+    ),
+    "other names as text": (table(rows(X, t=1e3 * T), "stamp,a,b,c,d"), {"columns": "t=stamp[ms],qx=a,qy=b,qz=c,qw=d"}),
+    "other names in their order": (table(rows(X, T), "stamp,a,b,c,d,e"), {"columns": "t,qx,qy,qz,qw,-"}),
+    "no names, listed": (table(rows(X, T)), {"columns": "t,qx,qy,qz,qw,-"}),
+    "rates of other names": (
+        table(IN_DEGREES, "t,u,v,w,qw,qx,qy,qz"),
+        {"columns": {"rates": ["u[deg/s]", "v[deg/s]", "w[deg/s]"]}},
+    ),
     "signs": (table(rows(W_FIRST * np.array([1.0, -1.0] * 4 + [1.0])[:, None]), "t,qw,qx,qy,qz"), {}),
 }
 
@@ -63,7 +86,8 @@ def test_tables(tmp_path, case):
     path = tmp_path / "log.csv"
     path.write_text(text)
     log = A.read(path, **options)
-    assert (log.rotation * TURNED.inv()).magnitude().max() < CLOSE and np.abs(log.t - T).max() < 1e-12
+    assert (log.rotation * TURNED.inv()).magnitude().max() < CLOSE
+    assert np.abs(log.t - T).max() < 1e-12 * 60.0  # of the digits that are written, in minutes
     rated = "rates" in case and options.get("rates") is not False
     assert (log.angular_velocity is not None) == rated
     if rated:
@@ -172,6 +196,8 @@ def test_round_trips(tmp_path, suffix, rates):
     assert (again.rotation * TURNED.inv()).magnitude().max() < 1e-15
     shift = again.t[0] + 0.3
     assert np.abs(again.t - shift - (T - 0.3)).max() < 1e-9
+    if suffix == ".csv":
+        assert (again.frame, again.body, again.epoch) == (log.frame, log.body, log.epoch)
     if suffix == ".aem":
         assert abs(again.epoch.seconds_to(A.AttitudeLog(T, TURNED, **DATED).epoch) - 0.3) < 1e-6
         assert again.frame == "J2000"
@@ -281,7 +307,34 @@ WRONG = {
     "degrees": (table([*rows(X), [9.0, 10.0, 20.0, 30.0, 0.0]], "t,qx,qy,qz,qw"), {}, ("line 11", "37.4")),
     "zero": (table([*rows(X), [9.0, 0, 0, 0, 0]], "t,qx,qy,qz,qw"), {}, ("line 11", "unit")),
     "times": (table([*rows(X), [1.0, 0, 0, 0, 1]], "t,qx,qy,qz,qw"), {}, ("line 11", "ascend")),
-    "a unit": (table(rows(X), "t [ms],qx,qy,qz,qw"), {}, ("ms", "time_unit")),
+    "a unit": (table(rows(X), "t [ms],qx,qy,qz,qw"), {"time_unit": "s"}, ("ms", "time_unit")),
+    "an unknown unit of time": (table(rows(X), "t [years],qx,qy,qz,qw"), {}, ("years", "ms")),
+    "a name twice": (table(rows(X, X[:, 0]), "t,qx,qy,qz,qw,qx"), {}, ("'qx'", "rename")),
+    "groups in digits": (table([*rows(X), ["1_0", 0, 0, 0, 1]], "t,qx,qy,qz,qw"), {}, ("line 11", "1_0")),
+    "a column that is missing": (table(rows(X), "t,a,b,c,d"), {"columns": {"qw": "e"}}, ("'e'", "a, b, c, d")),
+    "an unknown column": (table(rows(X), "t,qx,qy,qz,qw"), {"columns": {"qv": "qx"}}, ("qv",)),
+    "a part of a quaternion": (table(rows(X), "t,qx,qy,qz,d"), {"columns": {"qw": "d"}}, ("qx, qy, qz",)),
+    "a column for two": (table(rows(X), "t,a,b,c,d"), {"columns": "qw=a,qx=a,qy=b,qz=c"}, ("once",)),
+    "a quaternion without order": (table(rows(X), "stamp,a,b,c,d"), {"columns": OTHER}, ("wxyz", "xyzw")),
+    "three of four": (
+        table(rows(X), "t,a,b,c,d"),
+        {"columns": {"quaternion": ["a", "b", "c"]}, "attitude": "xyzw"},
+        ("4 columns",),
+    ),
+    "a part of the rates": (table(RATED, "t,u,wy,wz,qw,qx,qy,qz"), {"columns": {"wx": "u[rad/s]"}}, ("wy, wz",)),
+    "columns for an AEM": (aem(), {"columns": {"t": "stamp"}}, ("columns", "AEM")),
+    "a date twice": (
+        table(DATES, "date,qw,qx,qy,qz", comment="# t = 0 at 2026-03-01T12:00:00 UTC"),
+        {},
+        ("dates", "comment"),
+    ),
+    "a direction of a comment": (
+        table(rows(X), "t,qx,qy,qz,qw", comment="# attitude from the body, SC_BODY_1, to space, J2000; t in seconds"),
+        {"direction": "space to body"},
+        ("comment", "body to space"),
+    ),
+    "a quaternion in two units": (table(RATED, "t,a,b,qw [1],qw [-],qx,qy,qz"), {}, ("'qw'", "rename")),
+    "an epoch that is none": (table(rows(X), "t,qx,qy,qz,qw", comment="# t = 0 at noon UTC"), {}, ("noon",)),
     "a unit at the end": (table(rows(X), "t_ms,qx,qy,qz,qw"), {"time_unit": "us"}, ("ms", "us", "time_unit")),
     "rates without a unit": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {}, ("'wx'", "rates='rad/s'", "rates=False")),
     "rates in two units": (table(RATED, "t,wx [deg/s],wy [rad/s],wz,qw,qx,qy,qz"), {}, ("deg/s", "rad/s", "wz")),
@@ -292,7 +345,7 @@ WRONG = {
         ("deg/s", "rad/s"),
     ),
     "no rates": (table(rows(X), "t,qx,qy,qz,qw"), {"rates": "rad/s"}, ("wx",)),
-    "a unit of rates": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {"rates": "rpm"}, ("rpm",)),
+    "a unit of rates": (table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"), {"rates": "furlong"}, ("furlong",)),
     "a direction": (table(rows(X), "t,qx,qy,qz,qw"), {"direction": "inverse"}, ("inverse", "direction")),
     "names alone": ("t,qx,qy,qz,qw\n", {}, ("no rows",)),
     "comments alone": ("# nothing\n", {}, ("no rows",)),

@@ -63,5 +63,4 @@ def gyrostat(
         source="J. Wittenburg, Dynamics of Multibody Systems (2008), section 4.6",
         invariants=body_invariants(model),
         body=model,
-        spread=lambda: motion.spread(times),
     )

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
+from coadjoint.checkcases.altered_motions import apply, cross, matrix_of
 from coadjoint.checkcases.attitudes import body_columns
-from coadjoint.checkcases.check_case import ATTITUDE, RATES, CheckCase, Columns, DerivedQuantity, sample_times
+from coadjoint.checkcases.check_case import (
+    ATTITUDE,
+    RATES,
+    BodyModel,
+    CheckCase,
+    Columns,
+    DerivedQuantity,
+    sample_times,
+)
 from coadjoint.checkcases.integration import IntegratedMotion
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.methods.splitting import Splitting
@@ -36,6 +46,27 @@ def about_third_axis(angle: Floats, rate: Floats) -> Columns:
     zero = np.zeros_like(angle)
     turned = Rotation.from_rotvec(np.column_stack([zero, zero, np.remainder(angle, 2.0 * math.pi)]))
     return body_columns(np.column_stack([zero, zero, rate]), turned)
+
+
+def pitching_body(
+    moments: Floats, angle: float, rate: float, mean_motion: float, orbit: Callable[[Any], tuple[Any, Any, Any]]
+) -> BodyModel:
+    """Return the model of a satellite; `orbit` has the true anomaly, its rate and (a/r)^3, from times."""
+
+    def torque(t: float, q: Floats, w: Floats, inertia: Floats) -> Floats:
+        anomaly, _, cube = orbit(t)
+        A = matrix_of(q)
+        radial = A[0] * np.cos(anomaly) + A[1] * np.sin(anomaly)
+        return 3.0 * mean_motion**2 * cube * cross(radial, apply(inertia, radial))
+
+    attitude = np.array([math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)])
+    return BodyModel(
+        np.diag(moments),
+        np.array([0.0, 0.0, rate]),
+        attitude=attitude,
+        torque=torque,
+        orbital_frame=lambda t: orbit(t)[:2],
+    )
 
 
 def read_pitching(inertia: npt.ArrayLike) -> Floats:
@@ -105,6 +136,7 @@ def pitch_libration(
         accuracy=1e-11,
         basis="closed form, Jacobi's elliptic functions",
         source="V. V. Beletskii, Motion of an Artificial Satellite about its Center of Mass (1966)",
+        body=pitching_body(moments, angle, n, n, lambda t: (n * t, n + 0.0 * t, 1.0)),
         invariants=(DerivedQuantity("energy of the libration", "J", energy, ("rates", "attitude")),),
         results={"period of the libration": (4.0 * quarter / frequency, "s")},
     )
@@ -147,7 +179,11 @@ def eccentric_libration(
         theta = np.arctan2(-x[:, 4], x[:, 3])
         return about_third_axis(system.orbit(t).anomaly + theta, n * x[:, 2])
 
-    scaled = IntegratedMotion(system, x0, 2.0 * math.pi / STEPS_PER_ORBIT, METHODS, columns)
+    def on_orbit(t: Any) -> tuple[Any, Any, Any]:
+        there = system.orbit(n * np.asarray(t))
+        return there.anomaly, n * there.rate, there.radius**-3.0
+
+    motion = IntegratedMotion(system, x0, 2.0 * math.pi / STEPS_PER_ORBIT, METHODS, columns, 1.0 / n)
     times = sample_times(last, samples)
     return CheckCase(
         name="eccentric_libration",
@@ -165,10 +201,10 @@ def eccentric_libration(
             "end": (last, "s"),
         },
         quantities=(RATES, ATTITUDE),
-        motion=lambda t: scaled(n * t),
+        motion=motion,
         times=times,
         accuracy=1e-10,
         basis="this library, splittings of orders 8 and 6, and DOP853 agree",
         source="V. V. Beletskii, Motion of an Artificial Satellite about its Center of Mass (1966)",
-        spread=lambda: scaled.spread(n * times),
+        body=pitching_body(moments, angle, n * float(system.orbit(0.0).rate), n, on_orbit),
     )

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from coadjoint.checkcases.attitudes import body_invariants, quaternions, state_columns
 from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, Columns
-from coadjoint.checkcases.integration import relative_difference
+from coadjoint.checkcases.integration import IntegratedMotion
 from coadjoint.checkcases.registry import checkcase
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.splitting import Splitting
@@ -26,34 +26,36 @@ AXIS, ANGLE = np.array([2.0, -1.0, 2.0]) / 3.0, 2.4  # of the attitude at the st
 RATES_AT_START = np.array([0.01, -0.02, 0.03])
 
 
-def command(x: Floats) -> Floats:
-    """Return the torque that the computer commands at a state."""
-    w = x[:3] / INERTIA
-    q = quaternions(Rotation.from_matrix(x[3:12].reshape(3, 3)))
-    return np.clip(-2.0 * STIFFNESS * q[1:] - DAMPING * w, -LIMIT, LIMIT)
+def command(t: float, q: Floats, w: Floats, inertia: Floats) -> Floats:
+    """Return the torque that the computer commands at a quaternion and rates."""
+    sign = np.where(q[0] < 0.0, -1.0, 1.0)
+    return np.clip(-2.0 * STIFFNESS * sign * q[1:] - DAMPING * w, -LIMIT, LIMIT)
 
 
-def states_at(times: Floats, method: Method) -> Floats:
-    """Return the states at times in any order, (k, 12): a run from each sample to the next, with a constant torque."""
-    # `Sampled` takes schemes of order two; a constant torque permits any.
-    moving = body(INERTIA).with_forces(Torque((0.0, 0.0, 0.0)))
-    ready = prepare(moving, method, PERIOD / STEPS_PER_PERIOD, inputs={"torque": "Torque"}, watch=False)
-    x = np.asarray(moving.state(Rotation.from_rotvec(ANGLE * AXIS), angular_velocity=RATES_AT_START))
-    sample = np.floor(times / PERIOD * (1.0 + 1e-12)).astype(int)
-    states = np.empty((len(times), len(x)))
-    for k in range(sample.max() + 1):
-        torque, span = command(x), (k * PERIOD, (k + 1) * PERIOD)
-        wanted = np.flatnonzero(sample == k)
-        order = wanted[np.argsort(times[wanted], kind="stable")]
-        between = order[times[order] > span[0] * (1.0 + 1e-12)]
-        states[np.setdiff1d(order, between)] = x
-        if len(between):
-            states[between] = ready.run(x, span, t_eval=times[between], torque=torque).x
-        x = ready.end(x, span, torque=torque)
-    return states
+class SampledMotion(IntegratedMotion):
+    """Runs from each sample of the computer to the next, with a constant torque."""
+
+    def states(self, times: Floats, method: Method) -> Floats:
+        """Return the states at times in any order, (k, 12)."""
+        # `Sampled` takes schemes of order two; a constant torque permits any.
+        ready = prepare(self.system, method, self.step, inputs={"torque": "Torque"}, watch=False)
+        x = self.x0
+        sample = np.floor(times / PERIOD * (1.0 + 1e-12)).astype(int)
+        states = np.empty((len(times), len(x)))
+        for k in range(sample.max() + 1):
+            span, q = (k * PERIOD, (k + 1) * PERIOD), quaternions(Rotation.from_matrix(x[3:12].reshape(3, 3)))
+            torque = command(span[0], q, x[:3] / INERTIA, np.diag(INERTIA))
+            wanted = np.flatnonzero(sample == k)
+            order = wanted[np.argsort(times[wanted], kind="stable")]
+            between = order[times[order] > span[0] * (1.0 + 1e-12)]
+            states[np.setdiff1d(order, between)] = x
+            if len(between):
+                states[between] = ready.run(x, span, t_eval=times[between], torque=torque).x
+            x = ready.end(x, span, torque=torque)
+        return states
 
 
-def _columns(x: Floats) -> Columns:
+def _columns(x: Floats, t: Floats) -> Columns:
     return state_columns(x[:, :3] / INERTIA, x)
 
 
@@ -62,12 +64,12 @@ def slew() -> CheckCase:
     """Return a slew by quaternion feedback that is sampled, with limits of the torque."""
     start = Rotation.from_rotvec(ANGLE * AXIS)
 
-    def motion(t: Floats) -> Columns:
-        return _columns(states_at(t, METHODS[0]))
-
+    moving = body(INERTIA).with_forces(Torque((0.0, 0.0, 0.0)))
+    x0 = np.asarray(moving.state(start, angular_velocity=RATES_AT_START))
+    motion = SampledMotion(moving, x0, PERIOD / STEPS_PER_PERIOD, METHODS, _columns)
     times = np.linspace(0.0, END, 241)
     q = quaternions(start)
-    model = BodyModel(np.diag(INERTIA), RATES_AT_START, attitude=q)
+    model = BodyModel(np.diag(INERTIA), RATES_AT_START, attitude=q, torque=command, period=PERIOD)
     return CheckCase(
         name="slew",
         title="a slew by sampled quaternion feedback with limits of the torque",
@@ -98,5 +100,4 @@ def slew() -> CheckCase:
         source="B. Wie, P. M. Barba, Quaternion feedback for spacecraft large angle maneuvers, J. Guidance 8 (1985)",
         invariants=body_invariants(model),
         body=model,
-        spread=lambda: relative_difference(*(states_at(times, method) for method in METHODS)),
     )

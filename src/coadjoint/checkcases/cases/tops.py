@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from coadjoint.checkcases.altered_motions import cross, matrix_of
 from coadjoint.checkcases.attitudes import body_invariants, quaternions
 from coadjoint.checkcases.check_case import ATTITUDE, RATES, BodyModel, CheckCase, DerivedQuantity, sample_times
 from coadjoint.checkcases.registry import checkcase
@@ -48,8 +49,8 @@ def top_case(
     fastest = math.sqrt(2.0 * energy / moments.min())
     motion = with_axes(tensor, w, A, 1.0 / (STEPS_PER_RADIAN * fastest), lever=lever)
 
-    def torque(t: float, matrix: Floats) -> Floats:
-        return np.cross(matrix[2], lever)
+    def torque(t: float, q: Floats, rates: Floats, inertia: Floats) -> Floats:
+        return cross(matrix_of(q)[2], lever)
 
     model = BodyModel(
         tensor,
@@ -90,7 +91,6 @@ def top_case(
         source=source,
         invariants=invariants,
         body=model,
-        spread=lambda: motion.spread(times),
     )
 
 

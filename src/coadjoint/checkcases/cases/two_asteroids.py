@@ -135,5 +135,4 @@ def two_asteroids() -> CheckCase:
             DerivedQuantity("energy", "J", lambda columns: _energy(columns, moments), names),
             DerivedQuantity("momentum", "kg m^2/s", lambda columns: pair_momentum(columns, MASSES, moments), names),
         ),
-        spread=lambda: motion.spread(times),
     )

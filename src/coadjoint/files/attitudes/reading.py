@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from coadjoint.files.attitudes.aem import aem_text, log_of_aem
 from coadjoint.files.attitudes.attitude_log import AttitudeLog
@@ -25,9 +27,10 @@ def read(
     path: str | Path,
     *,
     format: str | None = None,
+    columns: Mapping[str, Any] | str | None = None,
     attitude: str | None = None,
     direction: str = "body to space",
-    time_unit: str = "s",
+    time_unit: str | None = None,
     rates: str | bool | None = None,
     time_system: str = "UTC",
     segment: int | None = None,
@@ -40,15 +43,21 @@ def read(
         The file. An AEM, in keywords and values, is known by its first line; ``.csv`` and ``.tum`` by their suffix.
     format : {"csv", "tum", "aem"}, optional
         That of a file with another suffix.
+    columns : mapping or str, optional
+        Columns of a CSV file with other names, with a unit in brackets unless it is in the name:
+        ``{"time": "stamp[ms]", "quaternion": ["a", "b", "c", "d"], "rates": ["u[deg/s]", "v[deg/s]", "w[deg/s]"]}``,
+        with the order of the quaternion by `attitude`, or one by one, ``{"t": "stamp[ms]", "qw": "a", ...}`` or
+        ``"t=stamp[ms],qw=a,..."``. Text without ``=`` lists all columns in their order, with ``-`` for those to leave
+        out. What is not named here is found by its name.
     attitude : {"wxyz", "xyzw"}, optional
         The order of the quaternion in a CSV file whose columns are not named ``qw, qx, qy, qz``.
     direction : {"body to space", "space to body"}
         What the quaternions of a CSV or TUM file turn: by default the components of a vector in the body into those in
         space. An AEM says it itself.
-    time_unit : {"s", "ms", "us", "ns"}
-        Unit of times that are numbers; times may also be dates. A unit in the name of the column, as in ``t [ms]`` or
-        ``t_ms``, must be the same.
-    rates : {"rad/s", "deg/s", False}, optional
+    time_unit : {"s", "ms", "us", "ns", "ps", "fs", "min", "h", "d"}, optional
+        Unit of times that are numbers; times may also be dates. By default that in the name of the column, as in
+        ``t [ms]`` or ``t_ms``, which may not be another one, and otherwise seconds.
+    rates : {"rad/s", "deg/s", "rpm", "rev/s", "Hz", "deg/h", False}, optional
         Unit of the columns ``wx, wy, wz`` of a CSV file, the angular velocity in the body frame. It is needed if it is
         not in their names, as in ``wx [deg/s]`` or ``wx_deg_s``, nor in the comment that `write` makes. With False
         they are not read.
@@ -60,7 +69,8 @@ def read(
     Returns
     -------
     AttitudeLog
-        With rotations from the body to space. Of a file with dates its first one is t = 0.
+        With rotations from the body to space. Of a file with dates its first one is t = 0. The names of the frames
+        and the epoch are those of an AEM, or of the comments that `write` makes in a CSV file.
 
     Raises
     ------
@@ -86,7 +96,12 @@ def read(
     if kind is None:
         raise ValueError(f"{file}: the suffix {short(file.suffix)} does not say the format; give format='csv' or 'tum'")
     if read_choice(kind, "format", FORMATS) == "aem":
-        given = {"attitude": (attitude, None), "rates": (rates, None), "direction": (direction, "body to space")}
+        given = {
+            "columns": (columns, None),
+            "attitude": (attitude, None),
+            "rates": (rates, None),
+            "direction": (direction, "body to space"),
+        }
         for name, (value, default) in given.items():
             if value != default:
                 raise ValueError(f"{name} is {short(value)}, and an AEM says it itself; leave it out")
@@ -94,10 +109,12 @@ def read(
     if segment is not None:
         raise ValueError(f"segment is {short(segment)}, and a table has none; leave it out")
     if kind == "tum":
+        if columns is not None:
+            raise ValueError("columns was given, and those of the format TUM are known; leave it out")
         if rates not in (None, False):
             raise ValueError("rates was given, and the format TUM has none; leave it out")
         return log_of_tum(file, lines, attitude, direction, time_unit)
-    return log_of_table(file, lines, attitude, direction, time_unit, rates, time_system)
+    return log_of_table(file, lines, columns, attitude, direction, time_unit, rates, time_system)
 
 
 @suggest_keywords

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.representation import quaternion_matrix
 from coadjoint.systems.bodies.mass_properties import product
 
 Floats = npt.NDArray[np.float64]
@@ -39,11 +40,4 @@ def by_quaternion(w: float, x: float, y: float, z: float) -> Floats | None:
     length = math.hypot(w, x, y, z)
     if length == 0.0:
         return None
-    w, x, y, z = (value / length for value in (w, x, y, z))
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return quaternion_matrix(*(value / length for value in (w, x, y, z)))
