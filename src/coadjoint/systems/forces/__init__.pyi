@@ -17,6 +17,8 @@ from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
 from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
+from .gilbert import Gilbert as Gilbert
+from .langevin import Langevin as Langevin
 from .magnetorquers import BDot as BDot
 from .magnetorquers import Magnetorquers as Magnetorquers
 from .registry import get as get
