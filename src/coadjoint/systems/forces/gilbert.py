@@ -35,8 +35,8 @@ class Gilbert(HeatBath):
     A magnetic moment, ``m' = -gamma/(1 + alpha^2) (m cross B + alpha m cross (m cross B))``, is S = -m in the field -B
     (see `co.systems.spin_lattice`).
 
-    The flow is that of `HeatBath`: rotations of each spin, which keep its length to round-off, of weak order two, and of
-    the order of the scheme up to ten without noise. Without a temperature it runs backward too.
+    The flow is that of `HeatBath`: rotations of each spin, which keep its length to round-off. Averages have an error of
+    second order in the step; without noise it has the order of the scheme, up to ten, and runs backward too.
 
     Parameters
     ----------

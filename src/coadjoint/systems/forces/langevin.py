@@ -36,8 +36,8 @@ class Langevin(Force):
     """Langevin dynamics of bodies, ``dp = ... - rate p dt + sqrt(2 rate kT m) dW``: friction and thermal noise.
 
     Choose it for rigid molecules, colloids and bodies in a fluid or a gas at a temperature: it acts on the linear
-    momenta in space, with the mass m, and on the angular momenta in the frames of the bodies, with the tensor of inertia
-    in place of m. So the stationary density is the Boltzmann distribution exp(-H/kT) of momenta, attitudes and
+    momenta in space, with the mass m, and on the angular momenta in the frames of the bodies, with the tensor of
+    inertia in place of m. So the stationary density is the Boltzmann distribution exp(-H/kT) of momenta, attitudes and
     positions. The coefficients of friction are ``rate m`` and ``rate I``, and those of diffusion, of bodies that move
     freely at times long against 1/rate, ``kT/(rate m)`` and ``kT/(rate I)``. Rods and linear molecules have no momentum
     along their axis, and get none. `HeatBath` on a body instead moves states along orbits.
@@ -53,9 +53,9 @@ class Langevin(Force):
     ----------
     rate : float, (3,), (k, 3) or (n,) array_like
         Rates of friction (1/time), zero or positive. A number is that of every momentum. For bodies also the rates of
-        the angular momentum about the axes of the body, (3,), or of k bodies (k, 3), without friction of linear momenta;
-        or one for each coordinate, (n,), zero for those that are no momenta. Rates that differ between the axes of a
-        body need principal axes, a diagonal tensor of inertia.
+        the angular momentum about the axes of the body, (3,), or of k bodies (k, 3), without friction of linear
+        momenta; or one for each coordinate, (n,), zero for those that are no momenta. Rates that differ between the
+        axes of a body need principal axes, a diagonal tensor of inertia.
     temperature : float or (k,) array_like
         Boltzmann's constant times the temperature, in units of the energy, zero or positive; of k bodies also one for
         each. With energies in kJ/mol and T in kelvin it is 0.0083145 T.
