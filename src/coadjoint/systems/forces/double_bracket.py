@@ -28,6 +28,7 @@ from coadjoint.systems.forces.base import (
 from coadjoint.systems.forces.orbit_flow import (
     Exponential,
     Midpoint,
+    OfSpins,
     bracket_of,
     constant_hessian,
     exponential,
@@ -145,18 +146,24 @@ class DoubleBracketDamping(Force):
             last_change = change
         raise self._not_converged(t, last_change)
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
         """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
         step = self._midpoint_step(system, x, t, tau)
         return [] if step is None else [step]
 
-    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
+    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | OfSpins | None:
+        metric = np.asarray(self._metric_on(system))
+        return self._settled_midpoint(system, x, t, tau * self.alpha, metric)
+
+    def _settled_midpoint(
+        self, system: Any, x: NDArray[np.float64], t: float, scale: float, metric: Any, added: Any = 0.0
+    ) -> Midpoint | None:
+        """Return the midpoint rule of a damping, with the multiples `added` of grad H in its direction."""
         form = constant_hessian(system.hamiltonian, system.dim) if system.algebra is not None else None
         if form is None:
             return None
         hessian, linear = form
-        bracket, scale = bracket_of(system.algebra, system.sign), tau * self.alpha
-        metric = np.asarray(self._metric_on(system))
+        bracket = bracket_of(system.algebra, system.sign)
 
         def applied(y: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.asarray(apply_metric(metric, y))
@@ -164,13 +171,13 @@ class DoubleBracketDamping(Force):
         middle, last_change = x, np.inf
         for _ in range(MAX_SUBSTEPS):
             before, gradient = middle, hessian @ middle + linear
-            v = scale * applied(bracket.product(middle, gradient))
+            v = scale * applied(bracket.product(middle, gradient)) + added * gradient
             half = Exponential.of(bracket, 0.5 * v, x)
             middle = half.end
             change = float(np.sum(np.abs(middle - before)))
             if _is_settled(change, last_change, x):
                 gradient = hessian @ middle + linear
-                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
+                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian, added)
             last_change = change
         raise self._not_converged(t, last_change)
 
@@ -366,15 +373,14 @@ class HeatBath(DoubleBracketDamping):
             product = by_y @ product
         return np.asarray(product)
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
         """Return the flow with the same noise, with its transposed derivative."""
         steps: list[Any] = []
 
         def noise(half: int) -> None:
             for v in self._noise_directions(system, t, tau, half):
-                steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
+                steps.append(self._noise_step(system, v, steps[-1].end if steps else x))
 
-        bracket = bracket_of(system.algebra, system.sign)
         noise(0)
         damping = self._midpoint_step(system, steps[-1].end if steps else x, t, tau)
         if damping is None:
@@ -382,6 +388,10 @@ class HeatBath(DoubleBracketDamping):
         steps.append(damping)
         noise(1)
         return steps
+
+    def _noise_step(self, system: Any, v: NDArray[np.float64], x: NDArray[np.float64]) -> Exponential | OfSpins:
+        """Return the step of a noise of direction v, with its transposed derivative."""
+        return Exponential.of(bracket_of(system.algebra, system.sign), v, x)
 
     def scalings(self) -> dict[str, tuple[Any, Any]]:
         if np.ndim(self.temperature):

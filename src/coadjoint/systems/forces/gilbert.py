@@ -12,7 +12,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import Spins, spins_in
 from coadjoint.systems.forces.base import ForceReader, SpinTerms, read_nonnegatives, read_seed
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, HeatBath
-from coadjoint.systems.forces.orbit_flow import exponential_with_tangent
+from coadjoint.systems.forces.orbit_flow import Exponential, OfSpins, bracket_of, exponential_with_tangent
 from coadjoint.validation import set_fields
 
 
@@ -35,8 +35,8 @@ class Gilbert(HeatBath):
     A magnetic moment, ``m' = -gamma/(1 + alpha^2) (m cross B + alpha m cross (m cross B))``, is S = -m in the field -B
     (see `co.systems.spin_lattice`).
 
-    The flow is that of `HeatBath`: rotations of each spin, which keep its length to round-off. Averages have an error of
-    second order in the step; without noise it has the order of the scheme, up to ten, and runs backward too.
+    The flow is that of `HeatBath`: rotations of each spin, which keep its length to round-off. Averages have an error
+    of second order in the step; without noise it has the order of the scheme, up to ten, and runs backward too.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Gilbert(HeatBath):
     seed: Any = None
     stream: int = 0
 
-    example: ClassVar = {"alpha": 0.25, "temperature": 0.1, "seed": 3}
+    example: ClassVar = {"alpha": 0.25, "temperature": 0.1, "seed": 13}
 
     def __post_init__(self) -> None:
         self._read(alpha=read_nonnegatives, temperature=read_nonnegatives, stream=read_seed)
@@ -156,12 +156,41 @@ class Gilbert(HeatBath):
         end, by_x, by_v = exponential_with_tangent(system, v, x)
         return end, by_x - 0.5 * by_v @ (np.outer(v, x) * _squared(self._factors(system)[1], x))
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
-        """Return nothing: rates depend on the state by the lengths of spins."""
-        return []
+    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OfSpins | None:
+        rates, terms = self._factors(system)
+        lengths, alpha = terms.lengths(x), self._per_coordinate(system, self.alpha)
+        step = self._settled_midpoint(system, x, t, tau, rates / lengths, tau * terms.added)
+        if step is None:
+            return None
+        # The derivatives of alpha/(1 + alpha^2) and of 1/(1 + alpha^2) by alpha.
+        square = 1.0 + alpha * alpha
+        damping, unit = step.v - step.added * step.gradient, 1.0 / np.abs(_spins_of(system).constants)
+        field = step.half.bracket.product(step.half.end, step.gradient)
+        by_alpha = (1.0 - alpha * alpha) / lengths * self._per_coordinate(system, unit) * field
+        by_alpha = tau / square**2 * (by_alpha - 2.0 * alpha * step.gradient)
+        changes = {"alpha": (by_alpha, bool(np.ndim(self.alpha))), "temperature": (np.zeros(len(x)), True)}
+        if not np.ndim(self.temperature):
+            changes["temperature"] = np.zeros(len(x)), False
+        return OfSpins(step, x, terms.spins, -damping / lengths**2, changes)
+
+    def _noise_step(self, system: Any, v: NDArray[np.float64], x: NDArray[np.float64]) -> OfSpins:
+        _, terms = self._factors(system)
+        v = self._at(system, v, x)
+        alpha, kT = self._per_coordinate(system, self.alpha), self._temperatures(system)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_alpha = np.where(v == 0.0, 0.0, 0.5 * v * (1.0 - alpha * alpha) / (alpha * (1.0 + alpha * alpha)))
+            by_kT = np.where(v == 0.0, 0.0, 0.5 * v / kT)
+        changes = {
+            "alpha": (by_alpha, bool(np.ndim(self.alpha))),
+            "temperature": (by_kT, bool(np.ndim(self.temperature))),
+        }
+        step = Exponential.of(bracket_of(system.algebra, system.sign), v, x)
+        return OfSpins(step, x, terms.spins, -0.5 * v / terms.lengths(x) ** 2, changes)
 
     def scalings(self) -> dict[str, tuple[Any, Any]]:
-        return {}
+        """Return the parameters whose derivatives `OfSpins` has: not of a vanishing noise, which grows with a root."""
+        vanishing = {"alpha": self.random and np.min(self.alpha) == 0.0, "temperature": False}
+        return {name: (0.0, 0.0) for name, is_infinite in vanishing.items() if not is_infinite}
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         rates, terms = self._factors(system)

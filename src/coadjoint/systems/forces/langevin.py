@@ -95,7 +95,7 @@ class Langevin(Force):
     seed: Any = None
     stream: int = 0
 
-    example: ClassVar = {"rate": 0.2, "temperature": 0.1, "seed": 3}
+    example: ClassVar = {"rate": 0.2, "temperature": 0.1, "seed": 17}
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
 

@@ -77,7 +77,6 @@ def _energy(
     lattice: Any,
     shape: Any,
     periodic: Any,
-    moments: Any = 1.0,
 ) -> EnergyCoefficients:
     T, K = (np.diag(array) if array.ndim == 1 else array for array in (tensor, on_site))
     return coefficients_of_spins(*graph(lattice, shape, periodic), *_couplings(exchange, T, dm, field, K))
