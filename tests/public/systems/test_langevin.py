@@ -28,7 +28,6 @@ def mean_with_error(values):
         (BODY, F.Langevin((0.5, 1.0, 0.0), 0.3, seed=1, stream=2)),
         (BODY, F.Langevin(np.r_[0.5, 0.1, 0.2, np.zeros(9)], 0.0, seed=1)),
         (THREE, F.Langevin(0.5, (0.3, 0.2, 0.0), seed=1)),
-        (THREE, F.Langevin(0.5, 3e20, seed=1)),
         (co.systems.heavy_top(), F.Langevin(0.7, 0.2, seed=2**40)),
         (co.systems.rigid_body(MOMENTS), F.Langevin((0.7, 0.2, 0.1), 0.2, seed=1)),
     ],
@@ -68,7 +67,7 @@ def test_free_bodies_have_the_density_of_the_temperature_at_any_step(unit):
     covariance = L[:, 0].T @ L[:, 0] / members / kT[0]
     scale = np.sqrt(np.outer(np.diag(TENSOR), np.diag(TENSOR)))
     assert np.all(np.abs(covariance - TENSOR) < 3.0 * error * scale)
-    assert np.all(L[:, 1, 2] == 0.0)
+    assert np.abs(L[:, 1, 2]).max() < 16 * UNIT_ROUNDOFF * np.abs(L[:, 1]).max()
 
 
 def test_linear_motion_diffuses_as_the_steps_predict():

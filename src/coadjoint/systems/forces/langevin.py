@@ -130,7 +130,7 @@ class Langevin(Force):
         rate, momenta = np.asarray(self.rate, dtype=np.float64), momenta_of(system)
         if is_on_bodies(rate.shape, system):
             return torque_vector(rate, system)
-        return np.where(True if momenta is None else momenta, np.broadcast_to(rate, (system.dim,)), 0.0)
+        return rate if rate.ndim else np.where(np.ones(system.dim, bool) if momenta is None else momenta, rate, 0.0)
 
     def _check_kinetic_energy(self, system: Any, rates: NDArray[np.float64]) -> None:
         """Raise ValueError unless the derivatives of H by the momenta are the velocities of the kinetic energy."""
