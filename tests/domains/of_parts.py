@@ -197,10 +197,16 @@ OWN_SYSTEMS = {
     }),
 }  # fmt: skip
 
+OF_SPINS = vector((0.5,), not_negative(), 0.5, 0, number=True)  # of a body, which has one
 OF_FORCES = {
     "BetaPlane": {"beta": real()},
     "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
-    "HeatBath": {"temperature": not_negative()},
+    "Gilbert": {"alpha": OF_SPINS, "temperature": OF_SPINS},
+    "HeatBath": {"temperature": OF_SPINS},
+    "Langevin": {
+        "rate": vector((0.5, 0.1, 0.0), not_negative(), 0.5, 0, number=True).plus(outside=NOT_ONE_MATRIX),
+        "temperature": not_negative(),
+    },
     "LinearDamping": {
         "rate": vector((0.5, -1.0, 0.0), real(), 0.5, 0, np.eye(3), SKEWED, number=True).plus(outside=NOT_ONE_MATRIX),
         "toward": vector((0.5, -1.0, 0.0), real(), 0.5, number=True),

@@ -236,6 +236,10 @@ OWN = {
             outside=(SKEWED, [FULL], [FULL, FULL, SKEWED], np.eye(2))
         ),
         "dipolar": real(0.0),
+        "moments": Domain(
+            (1.0, 2.5, 1e-100, [0.5, 1.0, 2.0]),
+            (0.0, -1.0, 1e-101, 1e101, math.nan, math.inf, "1", None, True, 1j, [], [1.0, 2.0], [1.0, 0.0, 1.0]),
+        ),
     },
     "torus_euler": {"N": one_of(5, 3).plus(outside=(0, 1, 1002, 1003, -3)).first(5, 3, 7, np.int64(7))},
     "vlasov_moments": {

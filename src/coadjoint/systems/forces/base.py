@@ -323,9 +323,9 @@ MAX_SEED = 2**62
 
 def read_nonnegatives(value: Any, what: str) -> Plain:
     """Validate a number, or a vector of numbers, which are zero or positive."""
-    if not np.ndim(value):
-        return read_nonnegative(value, what)
     array = read_finite(value, what)
+    if not array.ndim:
+        return read_nonnegative(value, what)
     if array.ndim > 1 or not array.size:
         raise ValueError(f"{what} has the shape {array.shape}; give a number or a vector")
     if (array < 0.0).any():

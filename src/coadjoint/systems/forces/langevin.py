@@ -187,9 +187,9 @@ class Langevin(Force):
 
 def _read_rates(value: Any, what: str) -> Plain:
     """Validate a number, a vector, or a row of three numbers for each body, zero or positive."""
-    if np.ndim(value) < 2:
-        return read_nonnegatives(value, what)
     array = read_finite(value, what)
+    if array.ndim < 2:
+        return read_nonnegatives(value, what)
     if array.ndim != 2 or array.shape[1] != 3 or not array.size:
         raise ValueError(f"{what} has the shape {array.shape}; give a number, a vector, or (k, 3) for k bodies")
     read_nonnegatives(array.ravel(), what)
