@@ -39,6 +39,8 @@ class ForceTable(NamedTuple):
     """A force as the kernels read it, with the index of its first `work_integral`, and their number `work_integrals`.
     The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
     Of a flow `sets` is the number of laws with noise, with seeds and streams as `direction`, and periods as `rate`.
+    A damping with noise has a root of the covariance, whose row i has the numbers `basis` in the columns `direction`
+    from begin[i] on. On orbits of spins with `extent` one `turning` multiplies the Hamiltonian field, which is added.
     """
 
     kind: int

@@ -20,8 +20,8 @@ class SpinBath {
         if (!usable) return;
         stride = (spins.size() + W - 1) / W * W;
         for (auto* array : {&start, &middle, &next, &slope, &metric, &root, &turn}) array->clear(3 * stride + W);
-        for (auto* array : {&inverse, &added}) array->clear(3 * stride + W);
         adds = table.extent == 1;
+        if (adds) inverse.clear(stride + W), added.clear(3 * stride + W);
         largest.clear(W * ((stride + ALIGNED - 1) / ALIGNED));
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) {
@@ -29,7 +29,6 @@ class SpinBath {
                 metric[a * stride + s] = table.rate[i];
                 root[a * stride + s] = table.aim[i];
                 turn[a * stride + s] = spins.turn[s];
-                inverse[a * stride + s] = 1.0;
                 if (adds) added[a * stride + s] = table.turning[i];
             }
         rows.read(field, constants, spins, stride);
