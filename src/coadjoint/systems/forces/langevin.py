@@ -234,8 +234,8 @@ def _covariance(system: Any, root: bool = False) -> _Entries:
     values = np.concatenate([tensors[id(one)][block] for one, block in zip(inertias, blocks, strict=True)])
     masses = np.repeat(np.asarray(getattr(system, "masses", ()), dtype=np.float64), 3)
     linear = PER_BODY * len(inertias) + np.arange(len(masses))
-    joined = (np.concatenate(pair) for pair in ((rows, linear), (columns, linear)))
-    return _Entries(*joined, np.concatenate([values, np.sqrt(masses) if root else masses]))
+    values = np.concatenate([values, np.sqrt(masses) if root else masses])
+    return _Entries(np.concatenate([rows, linear]), np.concatenate([columns, linear]), values)
 
 
 def _root_of(tensor: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -156,7 +156,9 @@ class Midpoint(NamedTuple):
         of_gradient = -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v)) + self.added * of_v
         return energy.along(self.half.end, of_gradient)
 
-    by_parameter = Exponential.by_parameter
+    def by_parameter(self, field: str, factor: Any, of_v: Floats) -> Any:
+        """Return the derivative by a parameter of the force along the cotangent of v; v by it is v times `factor`."""
+        return self.whole.by_parameter(field, factor, of_v)
 
     def _of_middle(self, of_v: Floats) -> Floats:
         bracket = self.half.bracket
