@@ -198,9 +198,11 @@ OWN_SYSTEMS = {
 }  # fmt: skip
 
 STRENGTHS = (math.nan, math.inf, None, "1", "", 1j, {}, [], np.ones((3, 3, 3)))
+OF_SPINS = vector((0.5,), not_negative(), 0.5, 0, number=True)  # of a body, which has one
 OF_FORCES = {
     "BetaPlane": {"beta": real()},
     "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
+    "Gilbert": {"alpha": OF_SPINS, "temperature": OF_SPINS},
     "HamiltonianNoise": {
         "hamiltonians": structured(
             (np.eye(3), ["x1", "x2^2/2"], "x3", SQUARE, (0.5, 0, -1.0)),
@@ -210,7 +212,11 @@ OF_FORCES = {
         "strength": Domain((0.5, 0, -1.0, (0.5, 0.0, 1.0), FULL), (*STRENGTHS, (1.0, 2.0))),
         "levels": whole(0, 20, tried=2),
     },
-    "HeatBath": {"temperature": not_negative()},
+    "HeatBath": {"temperature": OF_SPINS},
+    "Langevin": {
+        "rate": vector((0.5, 0.1, 0.0), not_negative(), 0.5, 0, number=True).plus(outside=NOT_ONE_MATRIX),
+        "temperature": not_negative(),
+    },
     "LinearDamping": {
         "rate": vector((0.5, -1.0, 0.0), real(), 0.5, 0, np.eye(3), SKEWED, number=True).plus(outside=NOT_ONE_MATRIX),
         "toward": vector((0.5, -1.0, 0.0), real(), 0.5, number=True),

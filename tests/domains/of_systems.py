@@ -249,6 +249,10 @@ OWN = {
             outside=(SKEWED, [FULL], [FULL, FULL, SKEWED], np.eye(2))
         ),
         "dipolar": real(0.0),
+        "moments": Domain(
+            (1.0, 2.5, 1e-100, [0.5, 1.0, 2.0]),
+            (0.0, -1.0, 1e-101, 1e101, math.nan, math.inf, "1", None, True, 1j, [], [1.0, 2.0], [1.0, 0.0, 1.0]),
+        ),
     },
     "sphere_qg": {
         "N": whole(3, 4096, usual=5, tried=6),

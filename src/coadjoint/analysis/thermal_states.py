@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.algebra import catalogue
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
 from coadjoint.systems.lattices.couplings import DipolarFunction
@@ -166,19 +166,9 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
 
 
 def are_spins(system: Any) -> bool:
-    """Return whether the algebra of a system consists of copies of so(3), in any order of the brackets."""
-    if not system.has_structure_constants or system.dim % 3:
-        return False
-    found, one = system.algebra.triples, catalogue.so(3).triples
-    first = 3 * np.arange(system.dim // 3)[:, None]
-    if len(found.c) != system.dim:
-        return False
-    order = np.lexsort((found.j, found.i))
-    columns = [np.asarray(column)[order] for column in (found.i, found.j, found.k)]
-    same = np.lexsort((one.j, one.i))
-    wanted = [(first + np.asarray(column)[same]).ravel() for column in (one.i, one.j, one.k)]
-    constants = np.tile(np.asarray(one.c)[same], system.dim // 3)
-    return all(map(np.array_equal, columns, wanted)) and np.array_equal(np.asarray(found.c)[order], constants)
+    """Return whether the algebra of a system consists of copies of so(3), of any moments, one after the other."""
+    found = spins_in(system.algebra) if system.has_structure_constants else None
+    return found is not None and np.array_equal(found.coordinates.ravel(), np.arange(system.dim))
 
 
 SPINS_AT_ONCE = 2**15  # of the members that are swept together

@@ -18,7 +18,7 @@ from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
 from coadjoint.methods.forced import Forced, halves_of_step, substeps_of
-from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise
+from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise, SpinTerms, ThermalNoise
 from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
 from coadjoint.systems.forces.matrix_noise import QUANTA
 from coadjoint.systems.forces.random_torque import Kicks
@@ -210,13 +210,39 @@ class ForceReaders:
         first, second = (lambda _, *given, side=side: flow(side, *given) for side in range(2))
         return first, second
 
-    def on_orbit(self, metric: Any, root: Any, noise: Noise | None) -> Flow:
+    def thermal(self, rate: Any, noise: ThermalNoise | None) -> Flow:
+        """Return the flow of an Ornstein-Uhlenbeck process, exact in distribution."""
+
+        def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            kept = x + jnp.expm1(-tau * rate) * x
+            if noise is None:
+                return kept
+            deviates = normal_deviates(noise.seed, noise.stream + member, t, 0, len(rate))
+            kicks = jnp.zeros_like(x).at[noise.rows].add(noise.values * deviates[noise.columns])
+            return kept + jnp.sqrt(-jnp.expm1(-2.0 * tau * rate)) * kicks
+
+        return flow
+
+    def on_orbit(self, metric: Any, root: Any, noise: Noise | None, spins: SpinTerms | None = None) -> Flow:
         """Return the midpoint rule of the damping on the orbit, between halves of the noise."""
         self.functions = self.field.functions
 
+        def inverse_lengths(x: Any) -> Any:
+            if spins is None:
+                return 1.0
+            squares = jnp.sum(x[spins.spins] ** 2, axis=1, keepdims=True)
+            moving = squares > 0.0
+            inverse = jnp.where(moving, 1.0 / jnp.sqrt(jnp.where(moving, squares, 1.0)), 0.0)
+            return jnp.zeros_like(x).at[spins.spins].set(inverse)
+
         def damped(energy: Any, x: Any, t: Any, tau: Any) -> Any:
+            shorter = inverse_lengths(x)
+
             def improved(middle: Any, _: Any) -> Any:
-                v = tau * _applied(metric, self.field.at(energy, middle, t + 0.5 * tau))
+                slopes = self.field.slopes(energy, middle, t + 0.5 * tau)
+                v = tau * shorter * _applied(metric, self.field.product(middle, slopes))
+                if spins is not None:
+                    v = v + tau * spins.added * slopes
                 found = self.field.exponential(0.5 * v, x)
                 return found, (v, jnp.max(jnp.abs(found - middle)))
 
@@ -236,7 +262,8 @@ class ForceReaders:
             size = noise.amplitude * jnp.sqrt(0.5 * tau)
 
             def one(x: Any, used: Any) -> Any:
-                return self.field.exponential(size * _applied(root, used * deviates), x), None
+                v = size * jnp.sqrt(inverse_lengths(x)) * _applied(root, used * deviates)
+                return self.field.exponential(v, x), None
 
             return lax.scan(one, x, sets[::-1] if half else sets)[0]
 

@@ -96,13 +96,18 @@ class StageField:
         return tuple(gradient for _, gradient in self._gradients)
 
     def at(self, energy: Any, x: Any, t: Any) -> Any:
+        """Return sign J(x) grad H(x, t)."""
+        return self.product(x, self.slopes(energy, x, t))
+
+    def slopes(self, energy: Any, x: Any, t: Any) -> Any:
+        """Return grad H(x, t)."""
         padded = jnp.append(x, 1.0)
         slopes = jnp.zeros_like(x)
         if len(self.monomials):
             slopes = jax.grad(lambda x: energy @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
         for coordinates, gradient in self._gradients:
             slopes = slopes.at[coordinates].add(gradient.at(padded[coordinates], t))
-        return self.product(x, slopes)
+        return slopes
 
     def product(self, x: Any, u: Any) -> Any:
         """Return sign J(x) u."""

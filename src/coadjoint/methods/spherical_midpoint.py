@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
-from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 
@@ -144,25 +143,10 @@ def on_spheres(spins: NDArray[np.int64], x: NDArray[Any], m: NDArray[Any]) -> ND
 def spins_of(system: System) -> NDArray[np.int64]:
     """Return the coordinates of each spin, shape (spins, 3), ordered by their first; ValueError for other algebras."""
     algebra = system.algebra
-    spins = None if getattr(algebra, "triples", None) is None else _spins(algebra)
-    if spins is None:
+    found = None if getattr(algebra, "triples", None) is None else spins_in(algebra)
+    if found is None:
         raise ValueError(
             f"SphericalMidpoint integrates spins, but {system.name} does not live on copies of so(3) in the "
             "coordinates of the spins; take Splitting or GaussLegendre"
         )
-    return spins
-
-
-@lru_cache(maxsize=16)
-def _spins(algebra: Any) -> NDArray[np.int64] | None:
-    """Return the coordinates of each spin; None if the algebra has any brackets other than those of spins."""
-    i, j, k, c = (np.asarray(column) for column in algebra.triples)
-    rows = np.sort(np.stack([i, j, k], axis=1), axis=1)
-    # The constant c of [e_a, e_b] = c e_d, made invariant under cyclic permutations.
-    cyclic = c * np.sign((j - i) * (k - j) * (k - i))
-    spins, triple, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-    triple = triple.ravel()
-    first = cyclic[np.unique(triple, return_index=True)[1]][triple]
-    equal = np.abs(cyclic - first) <= 8 * UNIT_ROUNDOFF * np.abs(first)
-    disjoint = len(np.unique(spins)) == spins.size and np.all(cyclic != 0)
-    return spins if len(spins) and disjoint and np.all(count == 3) and np.all(equal) else None
+    return found.coordinates

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from coadjoint.algebra.polynomials.monomials import coordinate_names as default_
 from coadjoint.algebra.polynomials.monomials import names_of_basis, numbers_by_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_choice, read_finite
 
@@ -148,6 +149,51 @@ def moved_by(system: Any, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
     moved, (i, j, _, _) = np.zeros(system.dim, dtype=bool), system.algebra.triples
     moved[i[used[j]]] = moved[j[used[i]]] = True
     return np.asarray(moved & ~momenta)
+
+
+class Spins(NamedTuple):
+    """The coordinates of each spin, (spins, 3) ascending, by their first, and c of its brackets [e_a, e_b] = c e_d."""
+
+    coordinates: NDArray[np.int64]
+    constants: NDArray[np.float64]
+    rounded: bool
+    """Whether the constants of the brackets of a spin differ by rounding."""
+
+
+@lru_cache(maxsize=16)
+def spins_in(algebra: Any) -> Spins | None:
+    """Return the spins of a sum of copies of so(3) and commuting coordinates; None for any other algebra."""
+    i, j, k, c = (np.asarray(column) for column in algebra.triples)
+    rows = np.sort(np.stack([i, j, k], axis=1), axis=1)
+    # The constant c of [e_a, e_b] = c e_d, made invariant under cyclic permutations.
+    cyclic = c * np.sign((j - i) * (k - j) * (k - i))
+    spins, triple, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    triple = triple.ravel()
+    constants = cyclic[np.unique(triple, return_index=True)[1]]
+    equal = np.abs(cyclic - constants[triple]) <= 8 * UNIT_ROUNDOFF * np.abs(cyclic)
+    disjoint = len(np.unique(spins)) == spins.size and np.all(cyclic != 0)
+    is_sum = len(spins) and disjoint and np.all(count == 3) and np.all(equal)
+    rounded = not np.array_equal(cyclic, constants[triple])
+    return Spins(spins, constants.astype(np.float64), rounded) if is_sum else None
+
+
+@lru_cache(maxsize=16)
+def independent_groups(algebra: Any) -> NDArray[np.int64]:
+    """Return the number of the independent group of each coordinate, by their first coordinates: the brackets of
+    different groups vanish, as those of different spins. Coordinates without brackets are in none, -1.
+    """
+    triples = np.stack([np.asarray(column) for column in algebra.triples[:3]])
+    labels, changed = np.arange(algebra.dim), True
+    while changed:
+        before = labels.copy()
+        for column in triples:
+            np.minimum.at(labels, column, labels[triples].min(axis=0))
+        labels = labels[labels]
+        changed = not np.array_equal(labels, before)
+    found = np.full(algebra.dim, -1)
+    inside = np.unique(triples)
+    found[inside] = np.unique(labels[inside], return_inverse=True)[1].ravel()
+    return found
 
 
 class CoordinateGroups:

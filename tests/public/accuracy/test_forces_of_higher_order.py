@@ -203,6 +203,11 @@ STRONG = {
         (CHAIN, co.forces.HeatBath(1.5, temperature=2.0, seed=3)),
         *((flow, co.forces.HeatBath(0.1, temperature=2.0, seed=3)) for flow, _ in MATRICES),
     ],
+    "Gilbert": [
+        (CHAIN, co.forces.Gilbert(1.5)),
+        (CHAIN, co.forces.Gilbert(np.linspace(0.0, 2.0, CHAIN[0].dim // 3), temperature=2.0, seed=3)),
+    ],
+    "Langevin": [((co.systems.rigid_body((1.0, 2.0, 2.5)), SPINS[:3]), co.forces.Langevin(4.0, 2.0, seed=3))],
     "Torque": [(SO4, co.forces.Torque(np.arange(6.0)))],
     "Friction": [(flow, co.forces.Friction(2.0)) for flow in (SPINNING, TURNING)],
     "Viscosity": [(flow, co.forces.Viscosity(0.5)) for flow in (SPINNING, TURNING)],

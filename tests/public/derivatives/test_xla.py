@@ -450,6 +450,8 @@ FORCED = {
     "bath of spins": (SPINS, [forces.HeatBath(0.3, temperature=0.5, seed=2**40)]),
     "field on spins": (SPINS, [forces.RandomField(0.3, seed=2**40)]),
     "random torque": (None, [forces.RandomTorque(0.3, "space", seed=7)]),
+    "Gilbert": (SPINS, [forces.Gilbert(0.3, temperature=0.5, seed=2**40)]),
+    "Langevin": (BODY, [forces.Langevin((0.3, 0.2, 0.1), temperature=0.5, seed=7, stream=3)]),
     "functions": (COSH, [forces.DoubleBracketDamping(0.1)]),
     "attitude": (None, [forces.Torque(pulled)]),
     "gravity": (None, [forces.GravityGradient(1.0, around, quadrupole=(0.01, 0.02, 0.05))]),
@@ -481,7 +483,7 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     np.testing.assert_allclose(f(states), wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF * np.abs(wanted).max())
     if len(states) == 2:
         assert np.abs(wanted[-1, 0] - wanted[-1, 1]).max() > 1e-3
-    if name in ("damping, torque", "double bracket", "order 6", "full bath", "Hamiltonian noise"):
+    if name in ("damping, torque", "double bracket", "order 6", "full bath", "Hamiltonian noise", "Gilbert", "Langevin"):
         of_x0 = jax.grad(lambda x0: (weights(wanted) * f(x0)).sum())(states)
         _, pullback = ready.vjp(states, (0.2, 1.2), save_every=5)
         gradient = pullback(weights(wanted))["x0"]

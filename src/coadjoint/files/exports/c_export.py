@@ -332,7 +332,7 @@ def _flow_of_force(label: str, table: ForceTable, numbers: TableNumbers, n: int)
     if table.kind == kinds["CONSTANT"]:
         numbers.check_constant(table, ("aim",), label)
         return repeated("x[{i}] = coadjoint_fma(tau, {b}, x[{i}]);", {"i": range(n), "b": aim[:n]}), []
-    if table.kind != kinds["DAMPING"]:
+    if table.kind != kinds["DAMPING"] or table.amplitude:
         raise TypeError(
             f"{label} is random, nonlinear or a function, and its flow cannot be exported; take LinearDamping or a "
             "constant Torque, which may be an input that each call sets: inputs={'torque': 'Torque'}"

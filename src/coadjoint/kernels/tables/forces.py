@@ -29,7 +29,7 @@ from coadjoint.kernels.tables.steps import (
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.coefficients import linear_of, with_hamiltonian, with_linear
-from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise
+from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise, SpinTerms, ThermalNoise
 from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
@@ -44,6 +44,8 @@ class ForceTable(NamedTuple):
     """A force as the kernels read it, with the index of its first `work_integral`, and their number `work_integrals`.
     The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
     Of a flow `sets` is the number of laws with noise, with seeds and streams as `direction`, and periods as `rate`.
+    A damping with noise has a root of the covariance, whose row i has the numbers `basis` in the columns `direction`
+    from begin[i] on. On orbits of spins with `extent` one `turning` multiplies the Hamiltonian field, which is added.
     """
 
     kind: int
@@ -129,14 +131,25 @@ class _ForceTableBuilder:
             return self._table("OF_TIME")
         return self._table("OF_STATE", extent=extrapolation_columns(self._order))
 
-    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> ForceTable:
+    def on_orbit(
+        self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None, spins: SpinTerms | None = None
+    ) -> ForceTable:
+        of_spins: dict[str, Any] = {} if spins is None else {"turning": spins.added, "extent": 1}
         if noise is None:
-            return self._table("ON_ORBIT", metric, root)
+            return self._table("ON_ORBIT", metric, root, **of_spins)
         begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
         direction = np.array([a for directions in noise.sets for a in directions], dtype=np.int64)
         set_fields = {"sets": len(noise.sets), "begin": begin, "direction": direction}
         noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
-        return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
+        return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields, **of_spins)
+
+    def thermal(self, rate: NDArray[Any], noise: ThermalNoise | None) -> ForceTable:
+        if noise is None:
+            return self._table("DAMPING", rate, np.zeros(self.n))
+        begin = np.searchsorted(noise.rows, np.arange(self.n + 1)).astype(np.int64)
+        fields = {"amplitude": 1.0, "seed": noise.seed, "stream": noise.stream}
+        noisy = {"begin": begin, "direction": noise.columns, "basis": noise.values, **fields}
+        return self._table("DAMPING", rate, np.zeros(self.n), **noisy)
 
     def hamiltonian_noise(self, terms: NoiseTerms, seed: int, stream: int, levels: int) -> ForceTable:
         energies = {k: H for term in terms.terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)}

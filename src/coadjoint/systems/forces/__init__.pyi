@@ -19,6 +19,8 @@ from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
 from .hamiltonian_noise import HamiltonianNoise as HamiltonianNoise
 from .hamiltonian_noise import RandomField as RandomField
+from .gilbert import Gilbert as Gilbert
+from .langevin import Langevin as Langevin
 from .magnetorquers import BDot as BDot
 from .magnetorquers import Magnetorquers as Magnetorquers
 from .random_torque import RandomTorque as RandomTorque

@@ -17,7 +17,7 @@ from coadjoint.keyword_hints import Abstract
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.coordinates import check_moved, kinds_of
 from coadjoint.systems.time_spans import sample_time_of
-from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
+from coadjoint.validation import as_tuples, read_finite, read_integer, read_nonnegative, set_fields, to_array
 
 Plain = float | tuple[Any, ...]
 
@@ -29,6 +29,32 @@ class Noise(NamedTuple):
     seed: int
     stream: int
     sets: tuple[tuple[int, ...], ...]
+
+
+class SpinTerms(NamedTuple):
+    """What a damping of spins has besides its metric, which is divided by the length of each spin: multiples (n,) of
+    the Hamiltonian field that are added, and the coordinates of the spins, (spins, 3).
+    """
+
+    added: NDArray[np.float64]
+    spins: NDArray[np.int64]
+
+    def lengths(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the length of the spin of each coordinate, (n,); infinite for spins of length zero, and others."""
+        found = np.full(x.shape, np.inf, dtype=x.dtype)
+        lengths = np.sqrt(np.sum(x[self.spins] ** 2, axis=1, keepdims=True))
+        found[self.spins] = np.where(lengths == 0.0, np.inf, lengths)
+        return found
+
+
+class ThermalNoise(NamedTuple):
+    """The noise of a relaxation: the entries of a root of the stationary covariance, its seed and its first stream."""
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    seed: int
+    stream: int
 
 
 MEASURED = "attitude", "angular_velocity", "field"
@@ -62,7 +88,9 @@ class ForceReader(Protocol):
     def function(self, torque: Callable[..., Any], arguments: str) -> Any:
         """Register x' = torque, a function of "t", "x" or "x, t"."""
 
-    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> Any:
+    def on_orbit(
+        self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None, spins: SpinTerms | None = None
+    ) -> Any:
         """Register x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P, L are numbers, (n,) or (n, n)."""
 
     def hamiltonian_noise(self, terms: Any, seed: int, stream: int, levels: int) -> Any:
@@ -70,6 +98,9 @@ class ForceReader(Protocol):
 
     def kicks(self, kicks: Any, seed: int, stream: int) -> Any:
         """Register additive noise by its `Kicks`, with the increments of a time at once."""
+
+    def thermal(self, rate: NDArray[Any], noise: ThermalNoise | None) -> Any:
+        """Register x' = -rate x with rates (n,), and the noise whose stationary covariance has the given root."""
 
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> Any:
         """Register a flow, a function of (x, t, tau), and with noises also of the deviates of all."""
@@ -318,6 +349,18 @@ class Force(Abstract):
 
 
 MAX_SEED = 2**62
+
+
+def read_nonnegatives(value: Any, what: str) -> Plain:
+    """Validate a number, or a vector of numbers, which are zero or positive."""
+    array = read_finite(value, what)
+    if not array.ndim:
+        return read_nonnegative(value, what)
+    if array.ndim > 1 or not array.size:
+        raise ValueError(f"{what} has the shape {array.shape}; give a number or a vector")
+    if (array < 0.0).any():
+        raise ValueError(f"{what} has the entry {array.min():g}; its numbers must be zero or positive")
+    return as_tuples(array)  # type: ignore[no-any-return]
 
 
 def read_seed(value: Any, what: str) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.coordinates import check_moved, moved_by, moving_others, turned_by_bracket
+from coadjoint.systems.coordinates import check_moved, independent_groups, moved_by, moving_others, turned_by_bracket
 from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
@@ -22,12 +22,14 @@ from coadjoint.systems.forces.base import (
     check_dimension,
     normal_deviates,
     read_matrix,
+    read_nonnegatives,
     read_seed,
 )
 from coadjoint.systems.forces.orbit_flow import (
     MAX_MIDPOINTS,
     Exponential,
     Midpoint,
+    OfSpins,
     bracket_of,
     constant_hessian,
     exponential,
@@ -160,6 +162,10 @@ class DoubleBracketDamping(Force):
         """Return the factor of the double bracket of matrices."""
         return float(self.alpha * self.metric * system.energy_sign)
 
+    def _direction_tangent(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the derivative of the direction of the damping by the state, (n, n)."""
+        return np.asarray(self.alpha * _product_of(self._metric_on(system), system.jacobian(x, t)))
+
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if system.has_matrices:
             X = damped(system, self._factor(system), system.matrices(x), float(t), float(tau))
@@ -173,19 +179,25 @@ class DoubleBracketDamping(Force):
             raise self._not_converged(t, found.residual)
         return found.middle, found.direction
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
         """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
         step = self._midpoint_step(system, x, t, tau)
         return [] if step is None else [step]
 
-    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
+    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | OfSpins | None:
+        metric = np.asarray(self._metric_on(system))
+        return self._settled_midpoint(system, x, t, tau * self.alpha, metric)
+
+    def _settled_midpoint(
+        self, system: Any, x: NDArray[np.float64], t: float, scale: float, metric: Any, added: Any = 0.0
+    ) -> Midpoint | None:
+        """Return the midpoint rule of a damping, with the multiples `added` of grad H in its direction."""
         known = system.algebra is not None and not system.has_matrices
         form = constant_hessian(system.hamiltonian, system.dim) if known else None
         if form is None:
             return None
         hessian, linear = form
-        bracket, scale = bracket_of(system.algebra, system.sign), tau * self.alpha
-        metric = np.asarray(self._metric_on(system))
+        bracket = bracket_of(system.algebra, system.sign)
 
         def applied(y: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.asarray(apply_metric(metric, y))
@@ -193,13 +205,13 @@ class DoubleBracketDamping(Force):
         middle, last_change = x, np.inf
         for _ in range(MAX_MIDPOINTS):
             before, gradient = middle, hessian @ middle + linear
-            v = scale * applied(bracket.product(middle, gradient))
+            v = scale * applied(bracket.product(middle, gradient)) + added * gradient
             half = Exponential.of(bracket, 0.5 * v, x)
             middle = half.end
             change = float(np.sum(np.abs(middle - before)))
             if is_settled(change, last_change, x):
                 gradient = hessian @ middle + linear
-                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
+                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian, added)
             last_change = change
         raise self._not_converged(t, last_change)
 
@@ -226,7 +238,7 @@ class DoubleBracketDamping(Force):
         if system.has_matrices:
             return damping_tangent(system, self._factor(system), system.matrices(x), t, tau)
         middle, v = self._midpoint(system, x, t, tau)
-        of_direction = tau * self.alpha * _product_of(self._metric_on(system), system.jacobian(middle, t + 0.5 * tau))
+        of_direction = tau * self._direction_tangent(system, middle, t + 0.5 * tau)
         _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)
         of_middle = np.linalg.solve(np.eye(len(x)) - 0.5 * by_v @ of_direction, by_x)
         _, by_x, by_v = exponential_with_tangent(system, v, x)
@@ -236,7 +248,10 @@ class DoubleBracketDamping(Force):
         if system.has_matrices:
             return reader.on_matrix_orbit(system, self._factor(system), self.noise(system))
         metric = self._metric_on(system)
-        return reader.on_orbit(self.alpha * np.asarray(metric), metric_root(metric, "metric"), self.noise(system))
+        return reader.on_orbit(self.alpha * np.asarray(metric), self._root(system), self.noise(system))
+
+    def _root(self, system: Any) -> NDArray[np.float64]:
+        return metric_root(self._metric_on(system), "metric")
 
     def noise(self, system: Any) -> Noise | None:
         """Return the noise that accompanies the damping; none by default."""
@@ -271,8 +286,10 @@ class HeatBath(DoubleBracketDamping):
         Strength of the damping, as for `DoubleBracketDamping`.
     metric : float, (n,) or (n, n) array_like
         As for `DoubleBracketDamping`.
-    temperature : float
-        Boltzmann's constant times the temperature, in units of the energy; zero or positive.
+    temperature : float or (groups,) array_like
+        Boltzmann's constant times the temperature, in units of the energy; zero or positive. Several are those of the
+        independent groups of coordinates in their order, such as one for each spin. Groups that the energy couples then
+        exchange heat; where they are uncoupled each has its own Boltzmann distribution.
     seed : int
         Seed of the noise, from 0 to 2^62. It is required, so that no two runs share a noise by accident.
     stream : int
@@ -302,7 +319,7 @@ class HeatBath(DoubleBracketDamping):
     True
     """
 
-    temperature: float = 0.0
+    temperature: Any = 0.0
     seed: Any = None
     stream: int = 0
 
@@ -314,10 +331,32 @@ class HeatBath(DoubleBracketDamping):
         super().__post_init__()
         if self.seed is None:
             raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
-        self._read(temperature=read_nonnegative, seed=read_seed, stream=read_seed)
+        self._read(temperature=read_nonnegatives, seed=read_seed, stream=read_seed)
+
+    def check(self, system: Any) -> None:
+        super().check(system)
+        self._temperatures(system)
+
+    def _temperatures(self, system: Any) -> Any:
+        """Return the temperature, or that of each coordinate, (n,)."""
+        if not np.ndim(self.temperature):
+            return self.temperature
+        groups, given = independent_groups(system.algebra), np.asarray(self.temperature)
+        if len(given) != groups.max() + 1:
+            raise ValueError(
+                f"temperature of {self.label} has {len(given)} numbers, and {system.name} has {groups.max() + 1} "
+                "independent groups of coordinates, such as spins; give one number, or one for each group"
+            )
+        found = np.where(groups < 0, 0.0, given[groups])
+        metric = np.asarray(self._metric_on(system))
+        if metric.ndim == 2 and (metric[found[:, None] != found] != 0.0).any():
+            raise ValueError(
+                f"metric of {self.label} couples coordinates of different temperatures; give a number or a diagonal"
+            )
+        return found
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")
+        raise TypeError(f"{self.label} is a noise, which has no field; its mean part is that of DoubleBracketDamping")
 
     def _check_kinds(self, system: Any) -> None:
         super()._check_kinds(system)
@@ -334,8 +373,20 @@ class HeatBath(DoubleBracketDamping):
 
     @property
     def amplitude(self) -> float:
-        """Factor of the Wiener processes, sqrt(2 alpha kT)."""
-        return float(np.sqrt(2.0 * self.alpha * self.temperature))
+        """Factor of the Wiener processes, sqrt(2 alpha kT), at the highest temperature."""
+        return float(np.sqrt(2.0 * self.alpha * np.max(self.temperature)))
+
+    def _root(self, system: Any) -> NDArray[np.float64]:
+        """Return L with L L^T = P, where temperatures differ times their square roots relative to the highest."""
+        root, temperatures = super()._root(system), self._temperatures(system)
+        if not np.ndim(temperatures) or not self.amplitude:
+            return root
+        factor = np.sqrt(temperatures / np.max(self.temperature))
+        return np.asarray(factor[:, None] * root if root.ndim == 2 else factor * root)
+
+    def _metric_on(self, system: Any) -> Any:
+        metric = super()._metric_on(system)
+        return metric if np.ndim(metric) or not np.ndim(self.temperature) else (metric,) * system.dim
 
     def noise(self, system: Any) -> Noise | None:
         """Return the thermal noise; None at temperature zero."""
@@ -347,8 +398,8 @@ class HeatBath(DoubleBracketDamping):
         return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self._metric_on(system)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if tau < 0.0:
-            raise ValueError("HeatBath is a noise, which does not run backward")
+        if tau < 0.0 and not self.reversible:
+            raise ValueError(f"{self.label} is a noise, which does not run backward")
         x = self._apply_noise(system, x, float(t), float(tau), 0)
         return self._apply_noise(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 
@@ -358,28 +409,27 @@ class HeatBath(DoubleBracketDamping):
             return self._tangent_of_matrices(system, x, t, tau)
         product, y = np.eye(len(x)), x
         for v in self._noise_directions(system, t, tau, 0):
-            y, by_x, _ = exponential_with_tangent(system, v, y)
-            product = by_x @ product
+            y, by_y = self._noise_tangent(system, v, y)
+            product = by_y @ product
         damping = super().tangent(system, y, t, tau)
         if damping is None:
             return None
         y, product = super().flow(system, y, t, tau), damping @ product
         for v in self._noise_directions(system, t, tau, 1):
-            y, by_x, _ = exponential_with_tangent(system, v, y)
-            product = by_x @ product
+            y, by_y = self._noise_tangent(system, v, y)
+            product = by_y @ product
         return np.asarray(product)
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
         """Return the flow with the same noise, with its transposed derivative."""
         steps: list[Any] = []
 
         def noise(half: int) -> None:
             for v in self._noise_directions(system, t, tau, half):
-                steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
+                steps.append(self._noise_step(system, v, steps[-1].end if steps else x))
 
         if system.has_matrices:
             return []
-        bracket = bracket_of(system.algebra, system.sign)
         noise(0)
         damping = self._midpoint_step(system, steps[-1].end if steps else x, t, tau)
         if damping is None:
@@ -388,7 +438,13 @@ class HeatBath(DoubleBracketDamping):
         noise(1)
         return steps
 
+    def _noise_step(self, system: Any, v: NDArray[np.float64], x: NDArray[np.float64]) -> Exponential | OfSpins:
+        """Return the step of a noise of direction v, with its transposed derivative."""
+        return Exponential.of(bracket_of(system.algebra, system.sign), v, x)
+
     def scalings(self) -> dict[str, tuple[Any, Any]]:
+        if np.ndim(self.temperature):
+            return super().scalings()
         return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
     def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
@@ -421,8 +477,19 @@ class HeatBath(DoubleBracketDamping):
                 X = conjugated(system, U, X)
             return np.asarray(system.to_vector(X))
         for v in self._noise_directions(system, t, tau, half):
-            x = exponential(system, v, x)
+            x = exponential(system, self._at(system, v, x), x)
         return x
+
+    def _at(self, system: Any, v: NDArray[np.float64], x: NDArray[Any]) -> NDArray[Any]:
+        """Return the direction v of a noise at a state."""
+        return v
+
+    def _noise_tangent(
+        self, system: Any, v: NDArray[np.float64], x: NDArray[Any]
+    ) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Return the state after a noise of direction v, and its derivative."""
+        end, by_x, _ = exponential_with_tangent(system, v, x)
+        return end, by_x
 
     def _noise_directions(self, system: Any, t: float, tau: float, half: int) -> Iterator[NDArray[np.float64]]:
         """Yield the directions of the exponentials of half of the noise; the second half uses the reverse order."""
@@ -430,7 +497,7 @@ class HeatBath(DoubleBracketDamping):
         if noise is None:
             return
         deviates = normal_deviates(self.seed, self.stream, t, half, system.dim)
-        root = metric_root(self._metric_on(system), "metric")
+        root = self._root(system)
         for directions in reversed(noise.sets) if half else noise.sets:
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]

@@ -108,9 +108,17 @@ class Exponential(NamedTuple):
         """Return zero: v does not depend on the energy."""
         return 0.0
 
+    def by_parameter(self, field: str, factor: Any, of_v: Floats) -> Any:
+        """Return the derivative by a parameter of the force along the cotangent of v; v by it is v times `factor`."""
+        each = of_v * self.v * factor
+        return each if np.ndim(factor) else each.sum()
+
 
 class Midpoint(NamedTuple):
-    """The midpoint rule of a damping, y = exp(D_v) x with v = scale P sign J(m) grad H(m) at m = exp(D_v/2) x."""
+    """The midpoint rule of a damping, y = exp(D_v) x with v = scale P sign J(m) grad H(m) at m = exp(D_v/2) x.
+
+    If `added` is given, v has also this multiple of grad H(m), (n,).
+    """
 
     whole: Exponential
     half: Exponential
@@ -118,6 +126,7 @@ class Midpoint(NamedTuple):
     metric: Callable[[Floats], Floats]
     gradient: Floats
     hessian: Any
+    added: Any = 0.0
     of_damping: bool = True
 
     @property
@@ -146,18 +155,60 @@ class Midpoint(NamedTuple):
 
     def along(self, energy: EnergyDerivative, of_v: Floats) -> Floats:
         """Return the derivatives of the energy, in grad H(m), along the cotangent of v."""
-        of_gradient = -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v))
+        of_gradient = -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v)) + self.added * of_v
         return energy.along(self.half.end, of_gradient)
+
+    def by_parameter(self, field: str, factor: Any, of_v: Floats) -> Any:
+        """Return the derivative by a parameter of the force along the cotangent of v; v by it is v times `factor`."""
+        return self.whole.by_parameter(field, factor, of_v)
 
     def _of_middle(self, of_v: Floats) -> Floats:
         bracket = self.half.bracket
         row = self.scale * self.metric(of_v)
-        through_gradient = self.hessian @ -bracket.product(self.half.end, row)
+        through_gradient = self.hessian @ (self.added * of_v - bracket.product(self.half.end, row))
         return bracket.transposed_times(bracket.transposed(self.gradient), row) + through_gradient
 
 
+class OfSpins(NamedTuple):
+    """A step from a state x whose v depends on the lengths of spins: `along` is the derivative of v by the length of
+    its spin, over this length. `changes` are the derivatives of v by parameters, those of the spins or of all.
+    """
+
+    step: Exponential | Midpoint
+    x: Floats
+    spins: Integers
+    along_length: Floats
+    changes: Mapping[str, tuple[Floats, bool]]
+
+    @property
+    def end(self) -> Floats:
+        """State after the flow."""
+        return self.step.end
+
+    def pull(self, row: Floats) -> tuple[Floats, Floats]:
+        """Return the cotangents of x and of what is added to v."""
+        of_x, of_v = self.step.pull(row)
+        of_x[self.spins] += (of_v * self.along_length)[self.spins].sum(axis=1, keepdims=True) * self.x[self.spins]
+        return of_x, of_v
+
+    def along(self, energy: EnergyDerivative, of_v: Floats) -> Any:
+        """Return the derivatives of the energy along the cotangent of v."""
+        return self.step.along(energy, of_v)
+
+    def by_parameter(self, field: str, factor: Any, of_v: Floats) -> Any:
+        """Return the derivative by a parameter of the force along the cotangent of v."""
+        change, each = self.changes[field]
+        by_spin = (of_v * change)[self.spins].sum(axis=1)
+        return by_spin if each else by_spin.sum()
+
+    @property
+    def of_damping(self) -> bool:
+        """Whether it is the damping, not a noise."""
+        return self.step.of_damping
+
+
 def pull_through(
-    steps: Sequence[Exponential | Midpoint],
+    steps: Sequence[Exponential | Midpoint | OfSpins],
     scalings: Mapping[str, tuple[Any, Any]],
     row: Floats,
     fields: Mapping[str, str],
@@ -171,9 +222,7 @@ def pull_through(
         for name, energy in energies.items():
             found[name] = found[name] + step.along(energy, of_v)
         for name, field in fields.items():
-            factor = scalings[field][step.of_damping]
-            each = of_v * step.v * factor
-            found[name] = found[name] + (each if np.ndim(factor) else each.sum())
+            found[name] = found[name] + step.by_parameter(field, scalings[field][step.of_damping], of_v)
     return row, found
 
 

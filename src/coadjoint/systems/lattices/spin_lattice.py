@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
+from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -108,6 +109,7 @@ def spin_lattice(
     field: Any = (0.0, 0.0, 0.0),
     on_site: npt.ArrayLike = (0.0, 0.0, 0.0),
     dipolar: float = 0.0,
+    moments: npt.ArrayLike = 1.0,
 ) -> LiePoissonSystem:
     """Return classical spins on a lattice or any graph, ``S_i' = S_i cross B_i`` with ``B_i = -dH/dS_i``.
 
@@ -117,6 +119,10 @@ def spin_lattice(
 
     Spins are angular momenta. For magnetic moments, ``m' = -gamma m cross B`` as in VAMPIRE, mumax3 and Spirit, with
     the mirrored precession, take S = -m: the states and `field` with the other sign, all else as it is.
+
+    Sites of different moments mu_i, such as two sublattices of a ferrimagnet, have S_i of length 1 and the fields
+    ``B_i = -(1/mu_i) dH/dS_i``: H is a function of directions as in VAMPIRE, and site i precesses in the field of its
+    neighbours at a rate that goes with 1/mu_i. `co.forces.Gilbert` then has one damping constant and one temperature.
 
     Parameters
     ----------
@@ -144,6 +150,11 @@ def spin_lattice(
         distances of neighbours (energy per spin squared). For open lattices by name; a chain lies along the first axis,
         other lattices in the plane of the first two. Computed by FFT in time N log N: `SphericalMidpoint` and
         Runge-Kutta methods support it, splittings do not.
+    moments : number or (sites,)
+        mu, positive: the length of the angular momentum of which S_i is the direction, ``S_i' = S_i cross B_i`` with
+        ``B_i = -(1/mu_i) dH/dS_i``. Energies over moments are frequencies: with magnetic moments the unit of time has
+        gamma = 1, and the magnetic field b has the term ``-mu_i b . S_i``, so that `field` is mu_i b. Equal ones if
+        there are dipoles.
 
     Returns
     -------
@@ -151,8 +162,9 @@ def spin_lattice(
         State: the spins in order, S_i at ``x[3 i : 3 i + 3]`` (angular momentum; energies over it are frequencies, so
         dimensionless spins go with energies over hbar). Casimirs: ``"|x|^2 [i]"`` of every spin, i from 1, up to 682
         spins; for more, the sum of all. Integrals: the components of the total spin, or its square, that the couplings
-        leave constant. ``exact(x0, t)`` if all spins are coupled equally and isotropically (two spins, a ring of three,
-        a complete graph) in a uniform field, or if none are coupled. The group element, for few spins, is the rotation
+        leave constant, each spin times its moment. ``exact(x0, t)`` if all spins are coupled equally and isotropically
+        (two spins, a ring of three, a complete graph) in a uniform field and have equal moments, or if none are
+        coupled. The group element, for few spins, is the rotation
         of each. Parameters of more than 65536 numbers, and functions, are not stored.
 
     Raises
@@ -182,6 +194,7 @@ def spin_lattice(
     """
     sites, edges = graph(lattice, shape, periodic)
     layout = {"lattice": lattice, "shape": shape} if np.ndim(lattice) == 0 else {"lattice": "graph"}
+    mu = _read_moments(moments, sites)
     J = _numbers(exchange, "exchange", ((), (len(edges),)))
     T = _matrices(tensor, "tensor", len(edges))
     D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
@@ -198,13 +211,19 @@ def spin_lattice(
         driving, uniform = driving_field(field, sites)
         H = H + driving
     parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
+    if parameters is not None and mu.ndim + (mu.flat[0] != 1.0):
+        parameters["moments"] = as_tuples(mu)
     strength = float(_numbers(dipolar, "dipolar", ((),)))
     if strength:
+        if np.ptp(mu):
+            raise ValueError(
+                "dipolar is given with moments that differ, and has one strength for all pairs; give equal moments"
+            )
         H = H + dipolar_energy(layout["lattice"], shape, periodic, strength)
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
-    exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B)
+    exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B, mu)
     return LiePoissonSystem(
-        _few_spins(sites) if sites <= 8 else _spins(sites),
+        _with_moments(_few_spins(sites) if sites <= 8 else _spins(sites), mu),
         H,
         sign=+1,
         casimirs=None
@@ -213,7 +232,7 @@ def spin_lattice(
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else _integrals(sites, T, D, K, B, uniform),
+        integrals={} if strength else _integrals(sites, T, D, K, B, uniform, mu),
         layout=layout,
     )
 
@@ -241,6 +260,26 @@ def _spins(sites: int) -> LieAlgebra:
 
 
 _few_spins = cache(_spins)
+
+
+def _read_moments(moments: Any, sites: int) -> Floats:
+    """Validate moments of sites, one number or (sites,)."""
+    mu = _numbers(moments, "moments", ((), (sites,)))
+    if not (mu >= 1.0 / MAX_COUPLING).all():
+        raise ValueError(f"moments has the number {mu.min():g}; moments are positive, of at least {1 / MAX_COUPLING:g}")
+    return mu
+
+
+def _with_moments(algebra: LieAlgebra, mu: Floats) -> LieAlgebra:
+    """Return the algebra of directions of spins of moments mu: brackets over moments."""
+    if np.all(mu == 1.0):
+        return algebra
+    inverse = np.repeat(np.broadcast_to(1.0 / mu, algebra.dim // 3), 3)
+    i, j, k, c = algebra.triples
+    matrices = None if algebra.representation is None else algebra.representation * inverse[:, None, None]
+    brackets = Triples(i.copy(), j.copy(), k.copy(), c * inverse[i])
+    known = dict(algebra.casimirs_known)
+    return LieAlgebra._from_valid(brackets, algebra.dim, algebra.basis, f"{algebra.name} of moments", matrices, known)
 
 
 def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
@@ -276,10 +315,13 @@ def _plain_parameters(*arguments: Any) -> dict[str, Any] | None:
 
 
 def precession(
-    sites: int, edges: npt.NDArray[np.int64], J: Floats, T: Floats, K: Floats, B: Floats
+    sites: int, edges: npt.NDArray[np.int64], J: Floats, T: Floats, K: Floats, B: Floats, mu: Any = 1.0
 ) -> Callable[..., Any] | None:
     """Return the closed form ``exact(x0, t, attitude)`` of spins without Dzyaloshinskii-Moriya coupling, or None."""
-    # J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites.
+    # J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites;
+    # mu is () or (sites,).
+    is_uniform = bool(np.all(B == B.reshape(-1, 3)[0]) and not np.ptp(mu))
+    J, B = J / np.max(mu), B / (np.max(mu) if not np.ptp(mu) else np.reshape(mu, (-1, 1)))
     if np.any(K != K[..., :1, :1] * np.eye(3)):
         return None
     if not np.any(T):
@@ -288,7 +330,6 @@ def precession(
     if not complete:
         return None
     strengths = np.unique(J * T[..., 0, 0])
-    is_uniform = np.all(B == B.reshape(-1, 3)[0])
     if np.any(T != T[..., :1, :1] * np.eye(3)) or len(strengths) > 1 or not is_uniform:
         return None
     return partial(move_state, "spin_lattice", 3 * sites, partial(_precess, sites, float(strengths[0]), B))
@@ -309,7 +350,7 @@ ROTATION_GENERATORS = np.array(
 
 
 def total_spins(
-    sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None
+    sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None, mu: Any = 1.0
 ) -> dict[str, Callable[[], Quadratic]]:
     """Return the constant components of the total spin, or its square, by name as functions that make them."""
     # T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
@@ -322,18 +363,19 @@ def total_spins(
         for axis in _kernel(np.concatenate([constraints, _vector_constraints(B)])):
             nonzero = np.flatnonzero(axis)
             name = f"S{nonzero[0] + 1}" if len(nonzero) == 1 else f"S along ({', '.join(f'{a:.6g}' for a in axis)})"
-            integrals[f"total {name}"] = partial(_total_along, sites, axis)
-    if isotropic and is_uniform and len(integrals) < 3 and sites <= MAX_DENSE_SQUARE:
-        integrals["|total S|^2"] = partial(_total_squared, sites)
+            integrals[f"total {name}"] = partial(_total_along, sites, axis, mu)
+    # Spins of different moments precess about a field at different rates.
+    if isotropic and is_uniform and not np.ptp(mu) and len(integrals) < 3 and sites <= MAX_DENSE_SQUARE:
+        integrals["|total S|^2"] = partial(_total_squared, sites, float(np.max(mu)))
     return integrals
 
 
-def _total_along(sites: int, axis: Floats) -> Quadratic:
-    return Quadratic(np.zeros(3 * sites), linear=np.tile(axis, sites))
+def _total_along(sites: int, axis: Floats, mu: Any) -> Quadratic:
+    return Quadratic(np.zeros(3 * sites), linear=np.outer(np.broadcast_to(mu, sites), axis).ravel())
 
 
-def _total_squared(sites: int) -> Quadratic:
-    return Quadratic(np.kron(np.full((sites, sites), 2.0), np.eye(3)))
+def _total_squared(sites: int, mu: float) -> Quadratic:
+    return Quadratic(np.kron(np.full((sites, sites), 2.0 * mu**2), np.eye(3)))
 
 
 def _tensor_constraints(tensors: Floats) -> Floats:

@@ -47,7 +47,7 @@ class Force {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
         switch (table.kind) {
-            case DAMPING: return damp(x, tau);
+            case DAMPING: return damp(x, tau), table.amplitude > 0.0 ? agitate(x, t, tau, member) : DONE;
             case CONSTANT: return push(x, tau);
             case OF_TIME: return push_by_time(x, t, tau);
             case OF_STATE: return push_by_state(x, t, tau);
@@ -73,8 +73,9 @@ class Force {
     const int64_t n;
     FieldWorkspace<double> workspace;
     OrbitExponential exponent;
-    std::vector<double> one, two, three, four, five, six, expm1;
-    double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `expm1` is computed
+    std::vector<double> one, two, three, four, five, six, expm1, spread;
+    // The times for which `expm1` and `spread` are computed.
+    double prepared_for = std::numeric_limits<double>::quiet_NaN(), spread_for = prepared_for;
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
     std::unique_ptr<HamiltonianNoise> noise;
@@ -131,6 +132,26 @@ class Force {
             multiply(expm1, expm1, 1.0, image);
             for (int64_t i = 0; i < count; ++i) expm1[i] = 2.0 * expm1[i] + image[i];
         }
+    }
+
+    // The noise of a temperature beside the damping, which make an Ornstein-Uhlenbeck process, exact in distribution: the
+    // covariance (1 - exp(-2 R tau)) C with a root of C, `basis`, whose row i has the columns `direction` from begin[i] to
+    // begin[i + 1] - 1. R is diagonal and commutes with C.
+    int64_t agitate(double* x, double t, double tau, int64_t member) {
+        if (spread_for != tau) {
+            spread_for = tau;
+            spread.resize(n);
+            for (int64_t i = 0; i < n; ++i) spread[i] = std::sqrt(-growth_by(-2.0 * table.rate[i] * tau).expm1);
+        }
+        InterruptCheck::of_this_call().after(64 * n);
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(n, three.data());
+        for (int64_t i = 0; i < n; ++i) {
+            double sum = 0.0;
+            for (int64_t e = table.begin[i]; e < table.begin[i + 1]; ++e)
+                sum = fma(table.basis[e], three[table.direction[e]], sum);
+            x[i] = fma(spread[i], sum, x[i]);
+        }
+        return finite(n, x) ? DONE : OVERFLOWED;
     }
 
     void multiply(const std::vector<double>& A, const std::vector<double>& B, double factor, std::vector<double>& out) {

@@ -1,4 +1,5 @@
-// Damping and noise on the spheres of spins, eight spins at a time: rotations in closed form.
+// Damping and noise on the spheres of spins, eight spins at a time: rotations in closed form. If `extent` of the table is
+// one, `turning` are multiples of the Hamiltonian field that are added, and `rate` is divided by the length of each spin.
 #pragma once
 
 #include "forces/random.hpp"
@@ -19,6 +20,8 @@ class SpinBath {
         if (!usable) return;
         stride = (spins.size() + W - 1) / W * W;
         for (auto* array : {&start, &middle, &next, &slope, &metric, &root, &turn}) array->clear(3 * stride + W);
+        adds = table.extent == 1;
+        if (adds) inverse.clear(stride + W), added.clear(3 * stride + W);
         largest.clear(W * ((stride + ALIGNED - 1) / ALIGNED));
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) {
@@ -26,6 +29,7 @@ class SpinBath {
                 metric[a * stride + s] = table.rate[i];
                 root[a * stride + s] = table.aim[i];
                 turn[a * stride + s] = spins.turn[s];
+                if (adds) added[a * stride + s] = table.turning[i];
             }
         rows.read(field, constants, spins, stride);
         if (rows.empty()) gradients.resize(field.size), point.resize(field.size);
@@ -43,7 +47,10 @@ class SpinBath {
     // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`. Threads wait
     // for one another only where spins need their neighbors.
     int64_t flow(double* x, double t, double tau, int64_t member, FieldWorkspace<double>& workspace) {
-        share(stride, [&](int64_t first, int64_t last) { by_component(x, first, last, start); });
+        share(stride, [&](int64_t first, int64_t last) {
+            by_component(x, first, last, start);
+            if (adds) by_length(first, last);
+        });
         const double before = measures() ? rows.energy(start.at, stride) : 0.0;
         const Noise first_half = noise_of(t, tau, 0, member);
         const double scale = largest_of([&](int64_t first, int64_t last) {
@@ -93,7 +100,8 @@ class SpinBath {
     bool usable = false;
     int64_t stride = 0;
     bool side_by_side = false;  // whether the coordinates of the spins follow one another
-    Components start, middle, next, slope, metric, root, turn, largest;
+    bool adds = false;  // whether multiples of the Hamiltonian field are added, and rates divided by lengths of spins
+    Components start, middle, next, slope, metric, root, turn, largest, inverse, added;
     std::vector<double> deviates, gradients, point;
 
     // Whether the sets of a noise apply the directions of each spin in the order of its coordinates.
@@ -140,7 +148,9 @@ class SpinBath {
             for (int k = 0; k < 3; ++k) {
                 const int a = half ? 2 - k : k, b = (a + 1) % 3, c = (a + 2) % 3;
                 const A length = A(noise.size) * load<A>(&slope[a * stride + s]);
-                const Rotation<A> rotation = rotation_by(turning * (load<A>(&root[a * stride + s]) * length));
+                A angle = load<A>(&root[a * stride + s]) * length;
+                if (adds) angle *= square_root(load<A>(&inverse[s]));
+                const Rotation<A> rotation = rotation_by(turning * angle);
                 const A one = x[b], two = x[c];
                 x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
                 x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
@@ -159,6 +169,16 @@ class SpinBath {
         last = std::min(last, spins.size());
         for (int a = 0; a < 3; ++a)
             for (int64_t s = first; s < last; ++s) to[spins.coordinate[a][s]] = from[a * stride + s];
+    }
+
+    // The inverse lengths of spins; zero for those that are zero, which do not move.
+    INLINE void by_length(int64_t first, int64_t last) {
+        last = std::min(last, spins.size());
+        for (int64_t s = first; s < last; ++s) {
+            const double x[] = {start[s], start[stride + s], start[2 * stride + s]};
+            const double length = std::sqrt(fma(x[0], x[0], fma(x[1], x[1], x[2] * x[2])));
+            inverse[s] = length > 0.0 ? 1.0 / length : 0.0;
+        }
     }
 
     // sin(w)/w and (1 - cos(w))/w^2 for the square of w, each lane by itself.
@@ -233,6 +253,10 @@ class SpinBath {
             }
             cross(y, u, half);
             for (int a = 0; a < 3; ++a) half[a] = load<A>(&metric[a * stride + s]) * (factor * half[a]);
+            if (adds)
+                for (int a = 0; a < 3; ++a)
+                    half[a] = fma(A(0.5 * tau) * turning * load<A>(&added[a * stride + s]), u[a],
+                                  load<A>(&inverse[s]) * half[a]);
             rotate(half, x, now);
             for (int a = 0; a < 3; ++a) {
                 most = larger(most, absolute(now[a] - y[a]));
