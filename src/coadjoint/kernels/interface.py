@@ -53,7 +53,17 @@ REQUIRED_CODES: Mapping[str, Iterable[str]] = {
     "Outcome": ("INTERRUPTED", "NO_MEMORY", "UNSOLVED"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
-    "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW", "MODE_RATES", "MODE_NOISE"),
+    "ForceKind": (
+        "DAMPING",
+        "CONSTANT",
+        "OF_TIME",
+        "OF_STATE",
+        "ON_ORBIT",
+        "BY_FLOW",
+        "MODE_RATES",
+        "MODE_NOISE",
+        "SELECTIVE_DECAY",
+    ),
     "ModeKind": ("HARMONICS", "WAVES"),
     "Shape": ("MULTIPLE", "DIAGONAL", "FULL"),
     "Limit": (

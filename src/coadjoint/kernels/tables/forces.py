@@ -20,6 +20,7 @@ from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.steps import (
     INNER_LOOP_INDEX,
     STEP_LOOP,
+    blas_address,
     inner_loop_integers,
     named_step_tables,
     stream_tables,
@@ -151,6 +152,21 @@ class _ForceTableBuilder:
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
         flat = np.concatenate(amplitudes)
         return self._on_modes("MODE_NOISE", modes, layer, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
+
+    def selective_decay(self, rate: float, system: Any) -> ForceTable:
+        if not system.has_matrices:
+            return self._table("SELECTIVE_DECAY", rate)
+        integers, numbers, self.keepalive = stream_tables(system)
+        layers, integers[1] = integers[1], 1
+        integers += [blas_address("zgemm" if system.complex else "dgemm"), int(system.complex)]
+        return self._table(
+            "SELECTIVE_DECAY",
+            rate,
+            direction=np.array(integers, dtype=np.int64),
+            extent=system.algebra.N,
+            position=system.dim - system.dim // layers,
+            basis=np.array(numbers),
+        )
 
     def _on_modes(
         self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any

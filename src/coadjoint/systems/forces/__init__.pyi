@@ -22,6 +22,7 @@ from .magnetorquers import Magnetorquers as Magnetorquers
 from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled
+from .selective_decay import SelectiveDecay as SelectiveDecay
 from .torque import Torque as Torque
 from .wheel_friction import WheelFriction as WheelFriction
 

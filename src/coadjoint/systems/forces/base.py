@@ -74,6 +74,9 @@ class ForceReader(Protocol):
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
+    def selective_decay(self, rate: float, system: Any) -> Any:
+        """Register x' = rate [u, [u, x]], u = grad H, on vectors or on the vorticity of a system of matrices."""
+
 
 class Force(Abstract):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.

@@ -56,10 +56,11 @@ CODES(StreamKind, STREAMS)
 CODES(Solver, SOLVERS)
 
 // Kinds of forces: towards a point; a torque that is constant, or a function of time or of state and time; along
-// coadjoint orbits; a flow given as a function; or on modes of a matrix, by their own rates or a noise.
+// coadjoint orbits; a flow given as a function; on modes of a matrix, by their own rates or a noise; or a decay of a
+// quadratic Casimir.
 #define FORCES(_)                                                                                            \
     _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5) _(MODE_RATES, 6) \
-    _(MODE_NOISE, 7)
+    _(MODE_NOISE, 7) _(SELECTIVE_DECAY, 8)
 CODES(ForceKind, FORCES)
 
 // The modes of a matrix: harmonics of the sphere, or waves of the torus.

@@ -152,6 +152,8 @@ TABLE(StepTables, STEP_FIELDS)
 // `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
 // is a step of the classical Runge-Kutta method if that is zero. A given flow also takes the deviates of `sets` laws that
 // measure with noise: each twice `extent`, by the seed and the stream in `direction`, and the period in `rate`.
+// The selective decay of a matrix of `extent` rows, at `position`, has the integers and numbers of its stream in
+// `direction`, with what forces/selective_decay.hpp adds, and in `basis`; that of a vector has an extent of zero.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
     _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \

@@ -6,6 +6,7 @@
 #include "field/field.hpp"
 #include "forces/mode_force.hpp"
 #include "forces/random.hpp"
+#include "forces/selective_decay.hpp"
 #include "forces/spin_bath.hpp"
 #include "numbers/arithmetic.hpp"
 #include "recording/watching.hpp"
@@ -24,6 +25,7 @@ class Force {
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
           three(n), four(n), five(n), six(n) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
+        if (table.kind == SELECTIVE_DECAY) decay = selective_decay(table, field, constants);
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
             if (!*spins) spins.reset();
@@ -41,6 +43,7 @@ class Force {
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
+            case SELECTIVE_DECAY: return lose_casimir(x, t, tau);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
         }
         return given_flow(x, t, tau, member);
@@ -60,6 +63,7 @@ class Force {
     double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `expm1` is computed
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
+    std::unique_ptr<SelectiveDecay> decay;
 
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
@@ -215,6 +219,14 @@ class Force {
         const int64_t status = settle(x, t, tau);
         if (status != DONE) return status;
         return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
+    }
+
+    int64_t lose_casimir(double* x, double t, double tau) {
+        const int64_t status = decay->flow(table.rate[0], x + table.position, t, tau);
+        evaluations = decay->evaluations;
+        iterations = decay->iterations;
+        residual = decay->residual;
+        return status;
     }
 
     int64_t rotate_spins(double* x, double t, double tau, int64_t member) {
