@@ -210,6 +210,7 @@ OF_FORCES = {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
     },
+    "SelectiveDecay": {"rate": not_negative()},
     "Torque": {
         "torque": vector((0.5, -1.0, 0.0), real(), lambda t: np.array([0.0, 0.0, t])).plus(
             outside=(of_nothing, flow, np.eye(3), lambda t: t)
