@@ -214,8 +214,8 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
 
     On fluids it is the modified dynamics of Shepherd: W moves by ``U W U*``, so that every level of vorticity keeps its
     area. ``relax="up"`` ends at a flow of large scales, a local maximum of the energy: on a sphere at rest the levels
-    are sorted from pole to pole; ``relax="down"`` ends at one of the smallest scales. To lower the enstrophy at constant energy
-    instead, take the force `SelectiveDecay`.
+    are sorted from pole to pole; ``relax="down"`` ends at one of the smallest scales. To lower the enstrophy at
+    constant energy instead, take the force `SelectiveDecay`.
 
     Parameters
     ----------
