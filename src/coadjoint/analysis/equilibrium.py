@@ -430,7 +430,7 @@ def _searched(orbit: Orbits, x: Floats, v: Floats, length: float, slope: float, 
 
 def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float) -> Floats:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
-    tangents = orbit.tangents(x)
+    tangents: Any = orbit.tangents(x)
     gradient = tangents.basis.T @ field
     components = _solved(orbit.second_variation(x, tangents), gradient, direction)
     v = tangents.basis @ components
@@ -443,7 +443,8 @@ def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float) -> F
 
 def _is_semidefinite(orbit: Orbits, x: Floats, direction: float) -> bool:
     """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
-    matrix = direction * orbit.second_variation(x, orbit.tangents(x))
+    tangents: Any = orbit.tangents(x)
+    matrix = direction * orbit.second_variation(x, tangents)
     try:
         np.linalg.cholesky(matrix + ZERO * np.linalg.norm(matrix, 1) * np.eye(len(matrix)))
     except np.linalg.LinAlgError:

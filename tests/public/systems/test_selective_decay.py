@@ -126,6 +126,7 @@ def test_a_fluid_ends_at_a_steady_flow():
     W = sol.x[-1]
     P = s.stream_of(W)
     assert np.abs(commutator(P, W)).max() < 1e-6 * np.abs(P).max() * np.abs(W).max()
+    assert np.abs(s.angular_momentum(W) - s.angular_momentum(W0)).max() > 1e-3 * np.abs(s.angular_momentum(W0)).max()
     # The rest of degree 2 is zonal about the axis of degree 1, and stays, so that W is no multiple of P.
     assert np.abs(W + 2.0 * P).max() > 1e-3 * np.abs(W).max()
     assert 1.0 < s.enstrophy_spectrum(W)[1].sum() / (2.0 * s.energy(W)) < s.enstrophy_spectrum(W0)[1].sum() / 2.0
@@ -156,6 +157,20 @@ def test_members_on_threads_and_resumed_archives_have_the_bits_of_one_run(tmp_pa
     archive = tmp_path / "run.zarr"
     co.integrate(driven, starts, (1.0, 1.5), 0.125, GAUSS, archive=archive)
     assert same_bits(np.asarray(co.resume(archive, t_end=2.0).x[-1]), together.x[-1])
+
+
+def test_batches_of_bodies_and_threads_that_share_a_lattice():
+    bodies = [
+        co.systems.rigid_body((1.0, 2.0, 2.0 + 0.25 * m)).with_forces(Decay(0.1 * m), co.forces.LinearDamping(0.1))
+        for m in range(3)
+    ]
+    together = co.integrate(co.batch(bodies), [(1.0, 2.0, 3.0)] * 3, (0.0, 1.0), 0.125)
+    for m, body in enumerate(bodies):
+        assert same_bits(together.x[:, m], co.integrate(body, (1.0, 2.0, 3.0), (0.0, 1.0), 0.125).x)
+    lattice = co.systems.spin_lattice("chain", 4000).with_forces(Decay(0.1))
+    x0 = np.cos(1.0 + np.arange(lattice.dim))
+    one, two = (co.integrate(lattice, x0, (0.0, 0.25), 0.125, threads=threads).x for threads in (1, 2))
+    assert same_bits(one, two) and np.abs(one[-1] - one[0]).max() > 1e-3
 
 
 def test_a_dye_stays_with_the_fluid():
