@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.orbit_flow import bracket_of
 from coadjoint.systems.matrices.matrix_invariants import applied
@@ -21,7 +20,7 @@ Floats = NDArray[np.float64]
 
 # As in ``forces/selective_decay.hpp``, of Newton's method and of GMRES.
 MAX_CORRECTIONS = 24
-NEAR, ROUGH, REDUCTION = 2.0**-26, 2.0**-6, 2.0**-26
+LAST_DIGIT, NEAR, ROUGH, REDUCTION = 2.0**-53, 2.0**-26, 2.0**-6, 2.0**-26
 RESTART, CYCLES = 24, 16
 DIFFERENCE_STEP = 2.0**-17  # of central differences, relative to the state
 ANTISYMMETRIC = 1e-12  # of J(x) x, relative to its terms: below it the sum of squares is a Casimir
@@ -149,7 +148,7 @@ class SelectiveDecay(Force):
             inner = brackets.product(u, m)
             rest = c * brackets.product(u, inner) + (y - m)
             residual, size = float(np.max(np.abs(rest))), float(np.max(np.abs(m)))
-            if residual <= 0.5 * UNIT_ROUNDOFF * size or not np.isfinite(residual):
+            if residual <= LAST_DIGIT * size or not np.isfinite(residual):
                 break
             last = residual <= NEAR * size
 
@@ -157,14 +156,14 @@ class SelectiveDecay(Force):
                 return d - c * _derivative(brackets, m, u, inner, d, moment)
 
             operator, unit = LinearOperator((len(y), len(y)), operate, dtype=np.float64), 1.0 / residual
-            left = REDUCTION if last else min(ROUGH, max(residual / size, REDUCTION))
+            left = max(LAST_DIGIT * size / residual if last else min(ROUGH, residual / size), REDUCTION)
             change, unsolved = gmres(operator, unit * rest, rtol=left, atol=0.0, restart=RESTART, maxiter=CYCLES)
             if unsolved:
                 break
             m = m + residual * change
             if last:
                 return m
-        if np.isfinite(residual) and residual <= 0.5 * UNIT_ROUNDOFF * float(np.max(np.abs(m))):
+        if np.isfinite(residual) and residual <= LAST_DIGIT * float(np.max(np.abs(m))):
             return m
         raise IntegrationError(
             f"the midpoint rule of {self.label} did not converge; take a smaller step",

@@ -39,9 +39,9 @@ class SelectiveDecay {
             if (iterations == 1) first = residual;
             if (iterations > MOST_CORRECTIONS || residual > GROWN * (first + size)) return NOT_CONVERGED;
             const bool last = residual <= NEAR * size;
-            const double share = last ? REDUCTION : std::min(ROUGH, larger(residual / size, REDUCTION));
+            const double share = last ? LAST_DIGIT * size / residual : std::min(ROUGH, residual / size);
             const auto operate = [&](const double* d, double* out) { linearized(c, middle, d, out); };
-            if (!krylov.solve(r.data(), Krylov::Operate(operate), share)) return NOT_CONVERGED;
+            if (!krylov.solve(r.data(), Krylov::Operate(operate), larger(share, REDUCTION))) return NOT_CONVERGED;
             for (int64_t i = 0; i < n; ++i) m[i] += r[i];
             if (last) break;
         }
