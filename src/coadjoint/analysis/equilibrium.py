@@ -334,6 +334,8 @@ def _orbits_of_matrices(system: Any, x0: ArrayLike) -> tuple[MatrixOrbits, Float
     if rows.ndim != 1:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; {system.name} needs {system.shape}")
     orbit = MatrixOrbits(system, rows)
+    if not orbit.tangents(rows / orbit.units).basis.size:
+        raise ValueError("all eigenvalues of x0 are equal; its orbit is a point, and x0 an equilibrium")
     return orbit, rows / orbit.units
 
 

@@ -157,6 +157,7 @@ def test_states_in_numbers():
         ),
         (lambda: co.equilibrium(SPHERE, [start_of(SPHERE)] * 2), ("(2, 4, 4)", "(4, 4)")),
         (lambda: co.equilibrium(SPHERE, np.eye(4)), ("x0", "su")),
+        (lambda: co.equilibrium(SPHERE, np.zeros((4, 4))), ("x0", "point")),
         (lambda: co.equilibrium(co.systems.sphere_euler(N=256), np.zeros((256, 256))), ("equilibrium", "256")),
     ],
 )

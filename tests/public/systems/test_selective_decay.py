@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from coadjoint.systems.matrices.streams import Weights
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 from same_runs import same_bits
@@ -171,6 +172,23 @@ def test_batches_of_bodies_and_threads_that_share_a_lattice():
     x0 = np.cos(1.0 + np.arange(lattice.dim))
     one, two = (co.integrate(lattice, x0, (0.0, 0.25), 0.125, threads=threads).x for threads in (1, 2))
     assert same_bits(one, two) and np.abs(one[-1] - one[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("family", ["su", "so"])
+def test_a_stream_that_is_a_function(family):
+    weights = (0.2 + np.add.outer(np.arange(4.0), np.arange(4.0))) * (1.0 - np.eye(4))
+    algebra, rng = co.MatrixAlgebra(family, 4), np.random.default_rng(1)
+    W0, linear = (
+        algebra.projected(rng.normal(size=(4, 4)) + (1j * rng.normal(size=(4, 4)) if family == "su" else 0.0))
+        for _ in range(2)
+    )
+    ends = []
+    for stream in (Weights(weights), lambda W: weights * W):
+        s = co.MatrixSystem(algebra, stream, linear).with_forces(Decay(0.05))
+        sol = co.integrate(s, W0, (0.0, 0.5), 0.03125, GAUSS)
+        assert np.abs(sol.work["SelectiveDecay"]["energy"]).max() < 1e-13
+        ends.append(sol.x[-1])
+    assert np.abs(ends[0] - ends[1]).max() < 1e-12 and np.abs(ends[0] - W0).max() > 0.1
 
 
 def test_a_dye_stays_with_the_fluid():

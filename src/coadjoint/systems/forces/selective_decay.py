@@ -56,9 +56,10 @@ class SelectiveDecay(Force):
     with a passive scalar it acts on the vorticity alone. Angular momentum is not preserved.
 
     Its flow is the implicit midpoint rule, of order 2, symmetric, solved to round-off by Newton's method: quadratic
-    energies are preserved to round-off, and the enstrophy decreases, for every step that can be solved. This is so if
-    ``rate h |P|^2`` is below about one, with |P| the largest eigenvalue, and for larger ones near a steady flow.
-    Backward in time it is an anti-diffusion, which is refused.
+    energies, such as those of fluids and bodies, are preserved to round-off (others to order 2), and the enstrophy
+    decreases, for every step that can be solved. This is so if ``rate h |P|^2`` is below about one, with |P| the
+    largest eigenvalue, and for larger ones near a steady flow. Backward in time it is an anti-diffusion, which is
+    refused.
 
     Parameters
     ----------

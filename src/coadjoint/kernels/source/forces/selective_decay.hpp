@@ -113,15 +113,19 @@ class MatrixDecay final : public SelectiveDecay {
 
     MatrixDecay(const int64_t* whole, const double* numbers)
         : SelectiveDecay(whole[0] * whole[0] * int64_t(sizeof(T) / sizeof(double))), rows(whole[0]),
-          products(whole[BLAS], rows, 1), stream(whole, numbers), scratch(rows * rows) {}
+          products(whole[BLAS], rows, 1), stream(whole, numbers), constant(whole[4] ? numbers : nullptr),
+          scratch(rows * rows) {}
 
   protected:
     bool gradient(const double* x, double t, double* out) override {
         return stream.apply(matrix(x), t, matrix(out)) && finite(n, out);
     }
 
-    void hessian(const double*, const double* v, double, double* out) override {
-        stream.apply_linear(matrix(v), matrix(out));
+    void hessian(const double*, const double* v, double t, double* out) override {
+        if (stream.linear()) return stream.apply_linear(matrix(v), matrix(out));
+        // A function is linear too, up to the constant.
+        stream.apply(matrix(v), t, matrix(out));
+        for (int64_t i = 0; i < n && constant; ++i) out[i] -= constant[i];
     }
 
     void bracket(const double* v, const double* y, double* out) override {
@@ -134,6 +138,7 @@ class MatrixDecay final : public SelectiveDecay {
     const int64_t rows;
     const Products<T> products;
     Stream<T> stream;
+    const double* const constant;
     std::vector<T> scratch;
 
     static const T* matrix(const double* x) { return reinterpret_cast<const T*>(x); }
