@@ -230,6 +230,7 @@ OF_FORCES = {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
     },
+    "SelectiveDecay": {"rate": not_negative()},
     "TransportNoise": {
         "degrees": Domain(((1, 2), [1, 3]), ((1, 1), (0, 1), (1.5, 2), (), "1", 1j, math.nan)),
         "strength": not_negative(),

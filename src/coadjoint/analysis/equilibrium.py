@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.algebra.constants import summands
+from coadjoint.analysis.matrix_orbits import MatrixOrbits
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
@@ -81,6 +83,15 @@ class CoadjointOrbits:
             y = y + change
         return y
 
+    def sizes(self, y: Floats) -> tuple[float, float]:
+        """Return the sizes of the state and of J(y)."""
+        return float(np.max(np.abs(y))), float(np.max(self.absolute_product(y, np.ones(self.dim))))
+
+    def field_scale(self, y: Floats) -> float:
+        """Return the size of the terms of J(y) grad H(y), which cancel at an equilibrium."""
+        slopes = np.abs(self.gradient(y)) + np.abs(self.hessian(y)) @ np.abs(y)
+        return float(np.max(np.abs(y))) * self.norm(slopes)
+
     def energy(self, y: Floats) -> float:
         return float(self.system.energy(self.units * y))
 
@@ -95,8 +106,14 @@ class CoadjointOrbits:
             return getattr(self.system.hamiltonian, name)(self.units * y, 0.0)
         return getattr(function, name)(self.units * y)
 
-    def linearized(self, y: Floats) -> Floats:
-        return self._map(self.system.jacobian(self.units * y))
+    def small_motions(self, y: Floats, tangents: TangentSpace) -> Floats:
+        """Return the linearized motion on the orbit, in the basis of the tangent space."""
+        return tangents.restricted(self._map(self.system.jacobian(self.units * y)), tangents.basis)
+
+    def integrals(self, y: Floats) -> list[tuple[Floats, Any]]:
+        """Return the gradients of the system's integrals with second derivatives, and these integrals."""
+        found = [integral for integral in self.system.integrals.values() if hasattr(integral, "hessian")]
+        return [(self.gradient(y, integral), integral) for integral in found]
 
     def _map(self, matrix: Any) -> Floats:
         return np.asarray(matrix, dtype=np.float64) / self.units[:, None] * self.units
@@ -130,6 +147,8 @@ class CoadjointOrbits:
         return np.asarray(0.5 * (Q + Q.T))
 
 
+Orbits = CoadjointOrbits | MatrixOrbits
+
 DIRECTIONS = {"down": 1.0, "up": -1.0, "none": 0.0}
 MAX_DESCENTS, MAX_NEWTON = 500, 200
 NEWTON_FROM = 1e-3  # residual, relative to its terms, below which Newton's method takes over
@@ -142,8 +161,10 @@ ROUNDS = 64.0  # residual, in units of the round-off of its terms, at which a st
 STAGNANT = 1e-12  # the same, relative to the terms, if it no longer falls
 ZERO = 1e-8  # eigenvalues of a second variation below this, relative to the largest, are zero
 GROWTH = 1e-6  # real parts of eigenvalues below this, relative to the largest eigenvalue, are zero
+DEFECTIVE = 2.0**-24  # the same, relative to the matrix: eigenvalues of a Jordan block are off by the root of round-off
 SINGULAR = 1e-12  # the same in Newton's equation
 UNBOUNDED = 1e5  # growth of the state, or decrease of J(x), at which there is no equilibrium
+ARRAYS = 6  # of N^2 complex matrices, for the second variation on an orbit of matrices
 MAX_SHIFTS = 200  # evaluations of the search for multipliers of integrals
 
 
@@ -153,8 +174,8 @@ class Equilibrium:
 
     Attributes
     ----------
-    x : ndarray, shape (n,)
-        The state, on the orbit of x0.
+    x : ndarray, shape (n,) or (N, N)
+        The state, on the orbit of x0, in the form of the system's states.
     energy : float
         H(x).
     frequencies : ndarray, shape (r/2,)
@@ -166,7 +187,7 @@ class Equilibrium:
         "stable" if the second variation of the energy on the orbit, with any multiples of the system's integrals that
         are critical at x, is definite; "unstable" if small motions grow exponentially; otherwise "undecided".
     residual : float
-        Largest component of J(x) grad H(x).
+        Largest component of J(x) grad H(x), of matrices the largest number in [P, W].
     """
 
     x: Floats
@@ -186,16 +207,23 @@ class Equilibrium:
 def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     """Return an equilibrium on the coadjoint orbit of a state, with its frequencies and its stability.
 
-    Choose it for ground states and textures of spins, steady rotations, and the stability of any steady motion. The
-    double-bracket flow lowers the energy on the orbit, so that every Casimir keeps its value, until Newton's method on
-    the orbit converges. If x0 is an equilibrium already, it is returned, also if it is a saddle.
+    Choose it for ground states and textures of spins, steady rotations, steady flows of fluids, and the stability of
+    any steady motion. The double-bracket flow lowers the energy on the orbit, so that every Casimir keeps its value,
+    until Newton's method on the orbit converges. If x0 is an equilibrium already, it is returned, also if it is a
+    saddle.
+
+    On fluids it is the modified dynamics of Shepherd: W moves by ``U W U*``, so that every level of vorticity keeps its
+    area. ``relax="up"`` ends at a flow of large scales, a local maximum of the energy: on a sphere at rest the levels
+    are sorted from pole to pole; ``relax="down"`` ends at one of the smallest scales. To lower the enstrophy at
+    constant energy instead, take the force `SelectiveDecay`.
 
     Parameters
     ----------
-    system : LiePoissonSystem
+    system : LiePoissonSystem or MatrixSystem
         On any algebra, with a Hamiltonian that has second derivatives and does not depend on time; at most a few
-        thousand coordinates.
-    x0 : array_like, shape (n,)
+        thousand coordinates. Of systems of matrices those of su(N) and u(N) with a linear stream, such as
+        `sphere_euler` and `torus_euler`, up to about 40 rows.
+    x0 : array_like, shape (n,) or (N, N)
         The initial state. It selects the orbit, and of several equilibria the one that is found.
     relax : {"down", "up", "none"}
         Lower or raise the energy; "none" starts Newton's method at once, for saddles near x0.
@@ -210,21 +238,24 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
         The orbit of x0 has a lower dimension than those around it (on such orbits the energy does not decide about
         stability), or the energy has no minimum on it.
     TypeError
-        The system has forces, a nonlinear bracket or matrices as states, or its Hamiltonian depends on time or has no
-        second derivatives.
+        The system has forces, a nonlinear bracket, other or several matrices as states, or its Hamiltonian depends on
+        time or has no second derivatives.
     RuntimeError
-        No equilibrium was found from x0.
+        No equilibrium was found from x0. The energy of fluids of many rows is flat near its minimum.
 
     Notes
     -----
     The energy-Casimir method, restricted to the tangent space of the orbit: there the second variation of H plus a
     function of the Casimirs is that of H along ``exp(D_v) x``. Definiteness on an orbit of maximal dimension implies
-    nonlinear stability. Zero eigenvalues, such as those of a symmetry that x breaks, leave it undecided.
+    nonlinear stability. Zero eigenvalues, such as those of a symmetry that x breaks, leave it undecided. On compact
+    orbits of matrices it does so on those of lower dimension too, which are not refused.
 
     References
     ----------
     D. D. Holm, J. E. Marsden, T. Ratiu, A. Weinstein, Nonlinear stability of fluid and plasma equilibria, Physics
-    Reports 123 (1985); R. W. Brockett, Dynamical systems that sort lists, Linear Algebra Appl. 146 (1991).
+    Reports 123 (1985); R. W. Brockett, Dynamical systems that sort lists, Linear Algebra Appl. 146 (1991);
+    T. G. Shepherd, A general method for finding extremal states of Hamiltonian dynamical systems, with applications to
+    perfect fluids, J. Fluid Mech. 213 (1990) 573.
 
     Examples
     --------
@@ -235,31 +266,42 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     ('stable', [0.0, 0.0, 2.01246117975])
     >>> co.equilibrium(body, (0, 1, 0)).stability
     'unstable'
+
+    The steady flow of largest energy with given levels of vorticity:
+
+    >>> import numpy as np
+    >>> fluid = co.systems.torus_euler(N=5)
+    >>> W = fluid.from_modes({(1, 0): 0.3, (0, 1): 0.2j, (1, 1): 0.5})
+    >>> flow = co.equilibrium(fluid, W, relax="up")
+    >>> flow.stability, bool(flow.energy > fluid.energy(W))
+    ('stable', True)
+    >>> bool(np.abs(fluid.spectrum(flow.x) - fluid.spectrum(W)).max() < 1e-13)
+    True
     """
-    x0 = _validated(system, x0)
+    orbit, start = _validated(system, x0)
     direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
-    groups = CoordinateGroups(system)
-    orbit = CoadjointOrbits(system, groups.units(groups.norms(x0)))
-    start = x0 / orbit.units
-    _check_regular(orbit, start)
     y = _critical_point(orbit, start, direction)
     note_progress("frequencies")
-    tangents = orbit.tangents(y)
-    eigenvalues = np.linalg.eigvals(tangents.restricted(orbit.linearized(y), tangents.basis))
-    largest = float(np.max(np.abs(eigenvalues)))
+    tangents: Any = orbit.tangents(y)
+    motions = orbit.small_motions(y, tangents)
+    eigenvalues = np.linalg.eigvals(motions)
+    largest = float(np.max(np.abs(eigenvalues), initial=0.0))
     growth = float(np.max(eigenvalues.real))
-    growth = growth if growth > GROWTH * largest else 0.0
+    growth = growth if growth > max(GROWTH * largest, DEFECTIVE * float(np.linalg.norm(motions))) else 0.0
     frequencies = np.sort(np.abs(eigenvalues.imag))[::2]
     stability = "unstable" if growth else "undecided"
     if not growth and _is_definite(orbit, y, tangents):
         stability = "stable"
-    x = orbit.units * y
+    x = system.states_of(orbit.units * y)
     residual = float(np.max(np.abs(system.vector_field(x))))
-    return Equilibrium(x, orbit.energy(y), frequencies, growth, stability, residual)
+    return Equilibrium(x, float(system.energy(x)), frequencies, growth, stability, residual)
 
 
-def _validated(system: Any, x0: ArrayLike) -> Floats:
+def _validated(system: Any, x0: ArrayLike) -> tuple[Orbits, Floats]:
+    """Return the orbits of a system, and the start in their coordinates."""
     check_one_system(system)
+    if system.has_matrices:
+        return _orbits_of_matrices(system, x0)
     if not system.has_structure_constants or not hasattr(system.algebra, "generic_rank"):
         raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
     momenta, single = momenta_of(system, x0)
@@ -269,7 +311,32 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
     system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives
-    return x
+    groups = CoordinateGroups(system)
+    orbit = CoadjointOrbits(system, groups.units(groups.norms(x)))
+    _check_regular(orbit, x / orbit.units)
+    return orbit, x / orbit.units
+
+
+def _orbits_of_matrices(system: Any, x0: ArrayLike) -> tuple[MatrixOrbits, Floats]:
+    algebra = system.algebra
+    if not (algebra.skew and system.complex) or algebra.blocks or len(system.matrix_shape) != 2:
+        raise TypeError(
+            f"the states of {system.name} are not single matrices of su(N) or u(N); equilibrium takes fluids with one "
+            "field, and systems of vectors"
+        )
+    if system.forces or not system.linear_stream or system.timed:
+        raise TypeError(
+            f"{system.name} has forces, or a stream that is not linear or depends on time; equilibrium needs a "
+            "quadratic energy"
+        )
+    check_available_memory(ARRAYS * 16 * algebra.N**4, f"equilibrium of {system.name}, with {algebra.N} rows,")
+    rows = system.read(x0)
+    if rows.ndim != 1:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; {system.name} needs {system.shape}")
+    orbit = MatrixOrbits(system, rows)
+    if not orbit.tangents(rows / orbit.units).basis.size:
+        raise ValueError("all eigenvalues of x0 are equal; its orbit is a point, and x0 an equilibrium")
+    return orbit, rows / orbit.units
 
 
 def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
@@ -284,9 +351,9 @@ def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
         raise ValueError(f"the coadjoint orbits of {orbit.system.name} are points, and every state is an equilibrium")
 
 
-def _critical_point(orbit: CoadjointOrbits, x: Floats, direction: float) -> Floats:
+def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
-    last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(orbit, x)
+    last, reference, scale = np.inf, orbit.sizes(x), orbit.field_scale(x)
     # Ways of descents, and the change of the field along them: by these, directions know the second variation.
     pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
     latest: tuple[Floats, Floats] | None = None
@@ -320,7 +387,7 @@ def _critical_point(orbit: CoadjointOrbits, x: Floats, direction: float) -> Floa
         else:
             last = residual
             x = _newton_step(orbit, x, field, direction)
-        _check_bounded(orbit, reference, _sizes(orbit, x), direction)
+        _check_bounded(orbit, reference, orbit.sizes(x), direction)
     raise RuntimeError(
         f"no equilibrium of {orbit.system.name} was found from x0: the residual is {residual:.1e} after "
         f"{descents + MAX_NEWTON} iterations; start nearer to one"
@@ -342,19 +409,7 @@ def _direction_of_descent(field: Floats, pairs: Sequence[tuple[Floats, Floats]])
     return q
 
 
-def _field_scale(orbit: CoadjointOrbits, x: Floats) -> float:
-    """Return the size of the terms of J(x) grad H(x), which cancel at an equilibrium."""
-    slopes = np.abs(orbit.gradient(x)) + np.abs(orbit.hessian(x)) @ np.abs(x)
-    return float(np.max(np.abs(x))) * orbit.norm(slopes)
-
-
-def _sizes(orbit: CoadjointOrbits, x: Floats) -> tuple[float, float]:
-    return float(np.max(np.abs(x))), float(np.max(orbit.absolute_product(x, np.ones(orbit.dim))))
-
-
-def _check_bounded(
-    orbit: CoadjointOrbits, first: tuple[float, float], now: tuple[float, float], direction: float
-) -> None:
+def _check_bounded(orbit: Orbits, first: tuple[float, float], now: tuple[float, float], direction: float) -> None:
     grown, shrunk = not now[0] < UNBOUNDED * first[0], now[1] * UNBOUNDED < first[1]
     if grown or shrunk:
         extremum = {1.0: "minimum", -1.0: "maximum", 0.0: "equilibrium near x0"}[direction]
@@ -364,9 +419,7 @@ def _check_bounded(
         )
 
 
-def _searched(
-    orbit: CoadjointOrbits, x: Floats, v: Floats, length: float, slope: float, sign: float
-) -> tuple[Floats, float]:
+def _searched(orbit: Orbits, x: Floats, v: Floats, length: float, slope: float, sign: float) -> tuple[Floats, float]:
     """Return exp(D_(length v)) x with a length that lowers `sign` H, halved until it does; `slope` is its decrease."""
     energy = sign * orbit.energy(x)
     while True:
@@ -377,9 +430,9 @@ def _searched(
         length *= 0.5
 
 
-def _newton_step(orbit: CoadjointOrbits, x: Floats, field: Floats, direction: float) -> Floats:
+def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float) -> Floats:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
-    tangents = orbit.tangents(x)
+    tangents: Any = orbit.tangents(x)
     gradient = tangents.basis.T @ field
     components = _solved(orbit.second_variation(x, tangents), gradient, direction)
     v = tangents.basis @ components
@@ -390,9 +443,10 @@ def _newton_step(orbit: CoadjointOrbits, x: Floats, field: Floats, direction: fl
     return _searched(orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
 
 
-def _is_semidefinite(orbit: CoadjointOrbits, x: Floats, direction: float) -> bool:
+def _is_semidefinite(orbit: Orbits, x: Floats, direction: float) -> bool:
     """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
-    matrix = direction * orbit.second_variation(x, orbit.tangents(x))
+    tangents: Any = orbit.tangents(x)
+    matrix = direction * orbit.second_variation(x, tangents)
     try:
         np.linalg.cholesky(matrix + ZERO * np.linalg.norm(matrix, 1) * np.eye(len(matrix)))
     except np.linalg.LinAlgError:
@@ -420,15 +474,12 @@ def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
     return np.asarray(vectors @ components)
 
 
-def _is_definite(orbit: CoadjointOrbits, x: Floats, tangents: TangentSpace) -> bool:
+def _is_definite(orbit: Orbits, x: Floats, tangents: Any) -> bool:
     """Return whether the second variation of H plus multiples of the critical integrals is definite."""
     variations = [orbit.second_variation(x, tangents)]
-    for integral in orbit.system.integrals.values():
-        if not hasattr(integral, "hessian"):
-            continue
-        u = orbit.gradient(x, integral)
+    for u, integral in orbit.integrals(x):
         field = orbit.product(x, u)
-        flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * _sizes(orbit, x)[1] * np.max(np.abs(u), initial=0.0)
+        flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * orbit.sizes(x)[1] * np.max(np.abs(u), initial=0.0)
         if flat:
             variations.append(orbit.second_variation(x, tangents, integral))
     sizes = [float(np.max(np.abs(variation))) for variation in variations]

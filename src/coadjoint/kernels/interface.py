@@ -67,6 +67,7 @@ REQUIRED_CODES: Mapping[str, Iterable[str]] = {
         "ON_MATRIX_ORBIT",
         "MATRIX_NOISE",
         "MODE_TRANSPORT",
+        "SELECTIVE_DECAY",
     ),
     "ModeKind": ("HARMONICS", "WAVES"),
     "Shape": ("MULTIPLE", "DIAGONAL", "FULL"),

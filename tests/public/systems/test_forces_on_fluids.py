@@ -38,6 +38,7 @@ def every_force(s):
         some.LinearDamping(0.2, toward=random_matrix(s, 5)),
         some.Torque(random_matrix(s, 6)),
         some.RandomForcing(0.4, band=(1, 2.5), seed=3),
+        some.SelectiveDecay(0.1),
     ]
     return [*found, some.BetaPlane(1.3)] if s is TORUS else found
 
@@ -53,7 +54,7 @@ def test_each_force_is_compiled_as_it_is_read(s):
         assert np.abs(step - last(s, W, 0.125, 0.125, GAUSS)).max() > 1e-5 * np.abs(W).max()
         assert np.array_equal(np.diagonal(found).real, np.zeros(s.algebra.N))
         # the flow is what the field says: differences of order four
-        if not force.random:
+        if force.reversible:
             x, tau = s.to_vector(W), 2.0**-7
             flows = [force.flow(s, x, 0.0, k * tau) for k in (-2, -1, 1, 2)]
             slope = (flows[0] - 8 * flows[1] + 8 * flows[2] - flows[3]) / (12 * tau)

@@ -242,6 +242,21 @@ class _ForceTableBuilder:
         table = self._on_modes("MODE_TRANSPORT", modes, 0, numbers, np.concatenate(amplitudes), NO_NUMBERS)
         return table._replace(function=function, seed=seed, stream=stream)
 
+    def selective_decay(self, rate: float, system: Any) -> ForceTable:
+        if not system.has_matrices:
+            return self._table("SELECTIVE_DECAY", rate)
+        integers, numbers, self.keepalive = stream_tables(system)
+        layers, integers[1] = integers[1], 1
+        integers += [_product_of(system), int(system.complex)]
+        return self._table(
+            "SELECTIVE_DECAY",
+            rate,
+            direction=np.array(integers, dtype=np.int64),
+            extent=system.algebra.N,
+            position=system.dim - system.dim // layers,
+            basis=np.array(numbers),
+        )
+
     def _on_modes(
         self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any
     ) -> ForceTable:

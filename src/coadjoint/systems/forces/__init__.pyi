@@ -27,6 +27,7 @@ from .random_torque import RandomTorque as RandomTorque
 from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled
+from .selective_decay import SelectiveDecay as SelectiveDecay
 from .torque import Torque as Torque
 from .transport_noise import TransportNoise as TransportNoise
 from .wheel_friction import WheelFriction as WheelFriction

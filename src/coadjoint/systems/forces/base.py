@@ -124,6 +124,9 @@ class ForceReader(Protocol):
     ) -> Any:
         """Register the same for modes with white noise of given amplitudes; lists over diagonals."""
 
+    def selective_decay(self, rate: float, system: Any) -> Any:
+        """Register x' = rate [u, [u, x]], u = grad H, on vectors or on the vorticity of a system of matrices."""
+
 
 class Force(Abstract):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.

@@ -57,11 +57,12 @@ CODES(Solver, SOLVERS)
 
 // Kinds of forces: towards a point; a torque that is constant, or a function of time or of state and time; along
 // coadjoint orbits; a flow given as a function; on modes of a matrix, by their own rates or a noise; the noise of
-// Hamiltonians; additive noise; or along orbits of matrices: a damping or a bath, noise by matrices, and by modes.
+// Hamiltonians; additive noise; along orbits of matrices: a damping or a bath, noise by matrices, and by modes; or a
+// decay of a quadratic Casimir.
 #define FORCES(_)                                                                                            \
     _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5) _(MODE_RATES, 6) \
     _(MODE_NOISE, 7) _(HAMILTONIAN_NOISE, 8) _(KICKS, 9) _(ON_MATRIX_ORBIT, 10) _(MATRIX_NOISE, 11)         \
-    _(MODE_TRANSPORT, 12)
+    _(MODE_TRANSPORT, 12) _(SELECTIVE_DECAY, 13)
 CODES(ForceKind, FORCES)
 
 // The modes of a matrix: harmonics of the sphere, or waves of the torus.

@@ -153,6 +153,8 @@ TABLE(StepTables, STEP_FIELDS)
 // is a step of the classical Runge-Kutta method if that is zero. A given flow also takes the deviates of `sets` laws that
 // measure with noise: each twice `extent`, by the seed and the stream in `direction`, and the period in `rate`. The table
 // of a noise of Hamiltonians is described in forces/hamiltonian_noise.hpp, and that of additive noise in forces/force.hpp.
+// The selective decay of a matrix of `extent` rows, at `position`, has the integers and numbers of its stream in
+// `direction`, with what forces/selective_decay.hpp adds, and in `basis`; that of a vector has an extent of zero.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
     _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \

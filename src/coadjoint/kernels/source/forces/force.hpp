@@ -9,6 +9,7 @@
 #include "forces/mode_force.hpp"
 #include "forces/orbit_exponential.hpp"
 #include "forces/random.hpp"
+#include "forces/selective_decay.hpp"
 #include "forces/spin_bath.hpp"
 #include "numbers/arithmetic.hpp"
 #include "recording/watching.hpp"
@@ -26,6 +27,7 @@ class Force {
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
           three(n), four(n), five(n), six(n), matrix(matrix_force(table)) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
+        if (table.kind == SELECTIVE_DECAY) decay = selective_decay(table, field, constants);
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
             if (!*spins) spins.reset();
@@ -55,6 +57,7 @@ class Force {
             case HAMILTONIAN_NOISE: return shake_by(x, element, t, tau, member, side);
             case KICKS: return kick(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
+            case SELECTIVE_DECAY: return lose_casimir(x, t, tau);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
             case ON_MATRIX_ORBIT:
             case MATRIX_NOISE:
@@ -80,6 +83,7 @@ class Force {
     std::unique_ptr<SpinBath> spins;
     std::unique_ptr<HamiltonianNoise> noise;
     const std::unique_ptr<MatrixForce> matrix;
+    std::unique_ptr<SelectiveDecay> decay;
 
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
@@ -278,6 +282,14 @@ class Force {
         evaluations = noise->exponential.evaluations;
         iterations = noise->exponential.iterations;
         residual = noise->exponential.residual;
+        return status;
+    }
+
+    int64_t lose_casimir(double* x, double t, double tau) {
+        const int64_t status = decay->flow(table.rate[0], x + table.position, t, tau);
+        evaluations = decay->evaluations;
+        iterations = decay->iterations;
+        residual = decay->residual;
         return status;
     }
 

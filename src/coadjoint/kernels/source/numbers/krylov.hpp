@@ -54,11 +54,12 @@ struct Krylov {
         });
     }
 
-    // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false without convergence.
-    NOINLINE bool solve(double* r, const Operate& operate) {
+    // Overwrite the right-hand side r by an approximate solution y of operate(y) = r, of which the given share of r is
+    // left; false without convergence.
+    NOINLINE bool solve(double* r, const Operate& operate, double share_left = REDUCTION) {
         std::vector<double> y(size, 0.0), image(size);
         std::copy_n(r, size, residual.begin());
-        const double goal = REDUCTION * std::sqrt(dot(r, r, size));
+        const double goal = share_left * std::sqrt(dot(r, r, size));
         for (int64_t cycle = 0; cycle < CYCLES; ++cycle) {
             const double norm = std::sqrt(dot(residual.data(), residual.data(), size));
             if (!(norm - norm == 0.0)) return false;
