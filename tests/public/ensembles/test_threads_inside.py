@@ -102,6 +102,11 @@ def in_a_bath():
     return system.with_forces(co.forces.HeatBath(0.2, temperature=0.4, seed=3))
 
 
+def in_a_bath_of_gilbert():
+    system = co.systems.spin_lattice("square", (50, 50), periodic=True, moments=np.linspace(1.0, 2.0, 2500))
+    return system.with_forces(co.forces.Gilbert(0.2, temperature=0.4, seed=3))
+
+
 def driven_in_a_bath():
     system = co.systems.spin_lattice("chain", SPINS, field=lambda t: np.array([0.3 * t, 0.0, 0.1]))
     return system.with_forces(co.forces.HeatBath(0.2, temperature=0.4, seed=3))
@@ -130,6 +135,7 @@ MORE = {
     "spherical midpoint": (isotropic, co.SphericalMidpoint(), 0.05),
     "Taylor": (isotropic, co.Taylor(order=6), 0.05),
     "heat bath": (in_a_bath, co.Splitting(), 0.01),
+    "heat bath of Gilbert": (in_a_bath_of_gilbert, co.Splitting(), 0.01),
     "heat bath of driven spins": (driven_in_a_bath, co.Splitting(), 0.01),
     "two stages by Newton and Krylov": (isotropic, co.GaussLegendre(2), 0.8),
 }

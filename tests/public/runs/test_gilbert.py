@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -119,7 +120,7 @@ def test_the_flow_is_the_one_in_python(name):
         assert np.abs(found - co.stepper(system, method, 0.125)(x0, 0.7)).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["chain", "alternating"])
+@pytest.mark.parametrize("name", long_beyond(1, ["chain", "alternating"]))
 def test_derivatives_along_a_path(name):
     """By the state and both parameters, forward and backward, against differences of runs with the same noise."""
     system, d = SYSTEMS[name](), 2.0**-16
@@ -160,7 +161,7 @@ def after_relaxation(system, force, h, members, end, seed):
     return run.x[10:].reshape(-1, members, system.dim // 3, 3), run
 
 
-@pytest.mark.parametrize(("h", "unit"), [(0.5, 1.0), (0.25, 1e30), (0.25, 1e-7)])
+@pytest.mark.parametrize(("h", "unit"), long_beyond(2, [(0.5, 1.0), (0.25, 1e30), (0.25, 1e-7)]))
 @pytest.mark.parametrize("kT", [0.8, (0.4, 1.6)], ids=["one temperature", "two temperatures"])
 def test_sublattices_of_different_moments_have_their_temperatures(kT, h, unit):
     """Each spin has the magnetization L(B/kT) for any moments and damping constants; errors of 0.6 per cent."""
@@ -232,7 +233,7 @@ def su3_of_directions(vectors):
     return np.einsum("...a,ab,kbc,...c->...k", real, i, matrices, real)
 
 
-@pytest.mark.parametrize(("kT", "expected"), [(0.125, 0.2473082), (0.5, 0.5443212)])
+@pytest.mark.parametrize(("kT", "expected"), long_beyond(1, [(0.125, 0.2473082), (0.5, 0.5443212)]))
 def test_su3_spins_with_anisotropy_in_a_bath(kT, expected):
     """H = D (S^z)^2 of states of spin one: the energy is D u, u of the density 2 u on CP^2."""
     u, weight = np.polynomial.legendre.leggauss(60)

@@ -116,6 +116,7 @@ def test_rotations_of_spins_are_those_of_the_exponential(name, strength):
 LONG_CHAINS = {
     "damping": co.forces.DoubleBracketDamping(0.4),
     "noise": co.forces.HeatBath(0.4, temperature=0.5, seed=7),
+    "Gilbert": co.forces.Gilbert(np.linspace(0.1, 0.9, 130), temperature=0.5, seed=7),
 }
 
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -50,7 +51,7 @@ def test_the_flow_is_the_one_in_python(system, force):
     np.testing.assert_allclose(tangents.x[-1], expected, rtol=0, atol=1e-8 * np.abs(plain).max())
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-7, 1e30])
+@pytest.mark.parametrize("unit", long_beyond(1, [1e30, 1.0, 1e-7]))
 def test_free_bodies_have_the_density_of_the_temperature_at_any_step(unit):
     """In steps as long as the rotation: momenta of a general tensor, of a rod, and of linear motion, two at rest."""
     system, members, kT = THREE, 3000, np.array([0.3, 0.6, 1.2])

@@ -59,9 +59,9 @@ class DoubleBracketDamping(Force):
     """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, preserves Casimirs.
 
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
-    ``S' = -alpha S cross (S cross B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
-    1/(1 + a^2), and take alpha = a. Magnetic moments m, ``m' = -m cross B - alpha m cross (m cross B)``, are S = -m in
-    the field -B, with the same alpha. The energy decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
+    ``S' = -alpha S cross (S cross B)`` with B = -grad H; Gilbert's form, of damping constants of other codes, is
+    `Gilbert`. Magnetic moments m, ``m' = -m cross B - alpha m cross (m cross B)``, are S = -m in the field -B, with the
+    same alpha. The energy decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
 
     On skew-Hermitian matrices, as of fluids, it is ``W' = energy_sign alpha [[P, W], W]``, P the stream: the energy of
     a fluid decreases at alpha times the integral of the square of its advection ``u . grad omega``, for every size of
@@ -265,8 +265,8 @@ class HeatBath(DoubleBracketDamping):
 
     ``dx = sign J(x) (grad H dt + alpha P sign J(x) grad H dt + sqrt(2 alpha kT) L o dW)`` in the sense of Stratonovich,
     with L L^T = P and independent Wiener processes W. The stationary density on an orbit is the Boltzmann distribution,
-    exp(-H/kT), with respect to the symplectic volume of the orbit: for spins the area on their spheres. In Gilbert's
-    form with damping a, where H is multiplied by 1/(1 + a^2), multiply the temperature by the same factor.
+    exp(-H/kT), with respect to the symplectic volume of the orbit: for spins the area on their spheres. Gilbert's form
+    is `Gilbert`, and thermostats of linear and angular momenta of bodies are `Langevin`.
 
     The flow is half of the noise, the midpoint rule of the damping, and half of the noise, all by exponentials on the
     orbit: every Casimir is preserved to round-off, in every realization. Commuting noise directions are applied

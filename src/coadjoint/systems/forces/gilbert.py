@@ -84,7 +84,7 @@ class Gilbert(HeatBath):
     seed: Any = None
     stream: int = 0
 
-    example: ClassVar = {"alpha": 0.25, "temperature": 0.1, "seed": 13}
+    example: ClassVar = {"alpha": 0.25, "temperature": 0.1, "seed": 23}
 
     def __post_init__(self) -> None:
         self._read(alpha=read_nonnegatives, temperature=read_nonnegatives, stream=read_seed)

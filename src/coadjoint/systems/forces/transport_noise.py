@@ -101,7 +101,7 @@ class TransportNoise(OrbitNoise):
     stream: int = 0
     levels: int = 0
 
-    example: ClassVar = {"degrees": (1, 2), "strength": 0.3, "spectrum": (1.0, 2.0), "seed": 3}
+    example: ClassVar = {"degrees": (1, 2), "strength": 0.3, "spectrum": (1.0, 2.0), "seed": 19}
     uses_energy: ClassVar[bool] = True
     selectors: ClassVar[tuple[str, ...]] = ("degrees", "spectrum")
 
