@@ -60,7 +60,7 @@ CODES(Solver, SOLVERS)
 // quadratic Casimir.
 #define FORCES(_)                                                                                            \
     _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5) _(MODE_RATES, 6) \
-    _(MODE_NOISE, 7) _(SELECTIVE_DECAY, 8)
+    _(MODE_NOISE, 7) _(SELECTIVE_DECAY, 13)
 CODES(ForceKind, FORCES)
 
 // The modes of a matrix: harmonics of the sphere, or waves of the torus.
