@@ -568,7 +568,7 @@ def torus_qg(N: int = 33, gamma: float = 0.0, topography: Any = None) -> TorusQG
         surface="torus",
     )
 )
-def surface_qg(N: int = 32, surface: str = "sphere") -> FluidSystem:
+def surface_qg(N: int = 32, surface: str = "sphere") -> SphereSurfaceQG | TorusSurfaceQG:
     """Return surface quasi-geostrophic flow: ``q_t + {psi, q} = 0`` with ``psi = -(-Laplacian)^(-1/2) q``.
 
     The buoyancy q at the surface of a deep rotating fluid is carried by the flow that it induces; warm air turns
@@ -583,7 +583,7 @@ def surface_qg(N: int = 32, surface: str = "sphere") -> FluidSystem:
 
     Returns
     -------
-    FluidSystem
+    SurfaceQG
         Initial states, modes and grids are of q. The energy is the integral of ``-psi q/2``, by degree in
         `energy_spectrum`.
 
