@@ -10,7 +10,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.matrices.planet import Planet
+from coadjoint.systems.matrices.planet import RotatingPlanet
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, FunctionStream, Weights
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made, ready_made_systems
@@ -24,7 +24,7 @@ BUILDING_BLOCKS = (
     DiagonalSolve,
     FunctionStream,
     FunctionTerm,
-    Planet,
+    RotatingPlanet,
     PolynomialTerm,
     QuadraticTerm,
     Weights,

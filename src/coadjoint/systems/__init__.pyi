@@ -45,7 +45,7 @@ from coadjoint.systems.lattices.spin_lattice import spin_lattice as spin_lattice
 from coadjoint.systems.lattices.toda import toda as toda
 from coadjoint.systems.lattices.toda import toda_ring as toda_ring
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.matrices.planet import Planet as Planet
+from coadjoint.systems.matrices.planet import RotatingPlanet as RotatingPlanet
 from coadjoint.systems.matrices.streams import Circulants as Circulants
 from coadjoint.systems.matrices.streams import DiagonalSolve as DiagonalSolve
 from coadjoint.systems.matrices.streams import FunctionStream as FunctionStream
@@ -58,9 +58,9 @@ __all__ = [
     "DiagonalSolve",
     "FunctionStream",
     "FunctionTerm",
-    "Planet",
     "PolynomialTerm",
     "QuadraticTerm",
+    "RotatingPlanet",
     "Weights",
     "bodies",
     "body",

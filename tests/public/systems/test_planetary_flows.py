@@ -285,7 +285,7 @@ def test_topography_from_every_source(tmp_path):
     assert np.abs(shown - wanted).max() < ROUNDED * np.abs(wanted).max()
 
 
-EARTH = S.Planet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
+EARTH = S.RotatingPlanet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
 
 
 def test_a_planet_in_si_units():
@@ -295,7 +295,7 @@ def test_a_planet_in_si_units():
     assert EARTH.lamb == pytest.approx(4 * omega**2 * 6.371e6**2 / (9.81 * 2000.0), rel=1e-14)
     assert EARTH.deformation_radius == pytest.approx(np.sqrt(9.81 * 2000.0) / (2 * omega), rel=1e-14)
     assert EARTH.rossby_number(10.0) == pytest.approx(10.0 / (2 * omega * 6.371e6), rel=1e-14)
-    west = S.Planet(6.371e6, -86164.1, 9.81, 2000.0, time=3600.0)
+    west = S.RotatingPlanet(6.371e6, -86164.1, 9.81, 2000.0, time=3600.0)
     assert west.rotation == pytest.approx(-omega * 3600.0, rel=1e-14) and west.lamb == EARTH.lamb
     for arguments, name in (
         ((0.0, 1.0, 1.0, 1.0), "radius"),
@@ -303,7 +303,7 @@ def test_a_planet_in_si_units():
         ((1.0, 1.0, 1.0, -1.0), "depth"),
     ):
         with refused(ValueError, name):
-            S.Planet(*arguments)
+            S.RotatingPlanet(*arguments)
 
 
 def test_a_restart_from_another_model(tmp_path):

@@ -123,6 +123,7 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         That mean, which is also that of q.
     """
 
+    stream: ScreenedSolve
     states_by_name = (*(name for name in SphereEuler.states_by_name if name != "rossby_haurwitz"), "rossby_wave")
 
     def __init__(self, N: int, lamb: float, rotation: float, topography: Any, gamma: float) -> None:
@@ -140,7 +141,6 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
 
     def _screened(self, P: Matrix) -> Matrix:
         """Return ``(gamma + lamb mu^2)`` times psi, of the mean of psi for which that of the product is zero."""
-        assert isinstance(self.stream, ScreenedSolve)
         N = self.algebra.N
         product = tridiagonal_product(*self.stream.screening, P)
         if not self.lamb and not self.gamma:
@@ -178,7 +178,7 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         (N, N) array
         """
         n, m = self._read_wave(degree, order)
-        vector = self._wave_vectors(m)[1][:, n - m]
+        vector = self.stream.eigenmodes(m)[1][:, n - m]
         P, i = np.zeros(self.algebra.shape, dtype=np.complex128), np.arange(self.algebra.N - m)
         entries = 1j * vector * np.exp(-1j * m * read_number(longitude, "longitude"))
         P[i, i + m], P[i + m, i] = entries, -np.conj(entries)
@@ -211,17 +211,13 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         -6.0
         """
         n, m = self._read_wave(degree, order)
-        return float(-2.0 * self.rotation / self._wave_vectors(m)[0][n - m])
+        return float(-2.0 * self.rotation / self.stream.eigenmodes(m)[0][n - m])
 
     def _read_wave(self, degree: Any, order: Any) -> tuple[int, int]:
         n = read_integer(degree, "degree", 1, self.algebra.N - 1)
         if self.topography is not None:
             raise ValueError("a Rossby wave is an exact solution without topography; make the system without it")
         return n, read_integer(order, "order", 1, n)
-
-    def _wave_vectors(self, m: int) -> tuple[Floats, Floats]:
-        assert isinstance(self.stream, ScreenedSolve)
-        return self.stream.eigenmodes(m)
 
     def minimum_enstrophy(self, energy: float) -> Matrix:
         """Return the steady state of the least potential enstrophy, the integral of q^2/2, of an energy.
@@ -278,7 +274,6 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
 
     def _along_stream(self, kappa: float) -> Matrix:
         """Return the state ``q = kappa psi + d`` whose psi has the mean of states."""
-        assert isinstance(self.stream, ScreenedSolve)
         N = self.algebra.N
         solve, one = DiagonalSolve(self.stream.main + kappa, self.stream.beside), 1j * np.eye(N)
         P, of_one, d = solve(self.planetary), solve(one), 0.0
@@ -288,7 +283,6 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
 
     def _lowest_eigenvalue(self) -> float:
         """Return the smallest eigenvalue of the inverse of minus the stream, whose matrices have trace zero."""
-        assert isinstance(self.stream, ScreenedSolve)
         N = self.algebra.N
         columns = np.zeros((N, N, N), dtype=np.complex128)
         columns[np.arange(N), np.arange(N), np.arange(N)] = 1j
@@ -574,7 +568,7 @@ def torus_qg(N: int = 33, gamma: float = 0.0, topography: Any = None) -> TorusQG
         surface="torus",
     )
 )
-def surface_qg(N: int = 32, surface: str = "sphere") -> FluidSystem:
+def surface_qg(N: int = 32, surface: str = "sphere") -> SphereSurfaceQG | TorusSurfaceQG:
     """Return surface quasi-geostrophic flow: ``q_t + {psi, q} = 0`` with ``psi = -(-Laplacian)^(-1/2) q``.
 
     The buoyancy q at the surface of a deep rotating fluid is carried by the flow that it induces; warm air turns
@@ -589,7 +583,7 @@ def surface_qg(N: int = 32, surface: str = "sphere") -> FluidSystem:
 
     Returns
     -------
-    FluidSystem
+    SurfaceQG
         Initial states, modes and grids are of q. The energy is the integral of ``-psi q/2``, by degree in
         `energy_spectrum`.
 

@@ -151,7 +151,7 @@ class FluidSystem(MatrixSystem):
         if units not in WITHOUT_UNITS:
             raise ValueError(
                 f"{name} has the units {short(units)}, and a system has none; give planet= of from_file, or a field of "
-                "Planet.without_units"
+                "RotatingPlanet.without_units"
             )
         field = labelled_field(values, self.surface, name)
         try:

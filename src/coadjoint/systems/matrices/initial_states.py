@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import is_xarray
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.labelled_fields import kind_of, read_field
-from coadjoint.systems.matrices.planet import Planet, read_planet
+from coadjoint.systems.matrices.planet import RotatingPlanet, read_planet
 from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def from_file(
     variable: str | None = None,
     select: Mapping[str, int] | None = None,
     absolute: bool | None = None,
-    planet: Planet | None = None,
+    planet: RotatingPlanet | None = None,
 ) -> Complexes:
     """Return the state read from a file, such as a dataset of a run or the restart of another model.
 
@@ -201,7 +201,7 @@ def from_file(
         default what the variable names by its long name, its standard name, or its own: ``vor``, ``vo``, ``vorticity``,
         ``zeta`` a relative vorticity, ``q``, ``pv`` the absolute or potential one, ``psi`` a stream function; other
         ones are relative to the rotating frame.
-    planet : Planet, optional
+    planet : RotatingPlanet, optional
         Units of the planet, needed if the variable has units other than 1.
 
     Returns

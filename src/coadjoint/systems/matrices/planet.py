@@ -47,7 +47,7 @@ def unit_vectors(latitude: Any, longitude: Any) -> Any:
 
 @suggest_keywords
 @dataclass(frozen=True)
-class Planet:
+class RotatingPlanet:
     """A rotating planet with a layer of fluid in SI units, and the numbers of its models on the unit sphere.
 
     Lengths are in radii, and times in `time`. Choose it to make `sphere_qg` or `sphere_euler` of a real planet, to
@@ -81,7 +81,7 @@ class Planet:
     Examples
     --------
     >>> import coadjoint as co
-    >>> earth = co.systems.Planet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
+    >>> earth = co.systems.RotatingPlanet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
     >>> s = co.systems.sphere_qg(N=32, lamb=earth.lamb, rotation=earth.rotation)
     >>> round(earth.lamb, 2), round(earth.deformation_radius / 1e3), round(earth.rossby_number(10.0), 4)
     (44.0, 960, 0.0108)
@@ -237,7 +237,7 @@ class Planet:
         Examples
         --------
         >>> import coadjoint as co
-        >>> earth = co.systems.Planet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
+        >>> earth = co.systems.RotatingPlanet(radius=6.371e6, day=86164.1, gravity=9.81, depth=2000.0)
         >>> s = co.systems.sphere_qg(N=16, lamb=earth.lamb, rotation=earth.rotation)
         >>> run = co.integrate(s, s.random(1, energy=1e-3), (0, 1), 0.1, co.IsospectralGauss())
         >>> found = earth.with_units(run.to_xarray())
@@ -269,13 +269,13 @@ class Planet:
         return found.assign_coords(time=seconds)
 
 
-def read_planet(value: Any) -> Planet:
+def read_planet(value: Any) -> RotatingPlanet:
     """Validate a planet, which is a table of its parameters in configuration files."""
     if isinstance(value, Mapping):
-        parameters = inspect.signature(Planet).parameters
+        parameters = inspect.signature(RotatingPlanet).parameters
         required = [key for key, one in parameters.items() if one.default is inspect.Parameter.empty]
         check_parameters("planet", value, parameters, required)
-        return Planet(**value)
-    if not isinstance(value, Planet):
-        raise TypeError(f"planet is {short(value)}; give a Planet(radius, day, gravity, depth)")
+        return RotatingPlanet(**value)
+    if not isinstance(value, RotatingPlanet):
+        raise TypeError(f"planet is {short(value)}; give a RotatingPlanet(radius, day, gravity, depth)")
     return value

@@ -47,7 +47,7 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") 
         if units_of(given) not in WITHOUT_UNITS:
             raise ValueError(
                 f"topography has the units {units_of(given)}; give the height over the mean depth of the fluid, as "
-                "Planet.without_units returns it from metres"
+                "RotatingPlanet.without_units returns it from metres"
             )
         values, first, second, _ = labelled_field(given, surface.surface, str(given.name or "topography"))
         if values.ndim != 2:
