@@ -95,7 +95,7 @@ def matrix_of(q: Floats) -> Floats:
 def velocity_field(body: BodyModel, law: Law, held: list[Floats] | None = None) -> Field:
     """Return the derivative of the rates; `held` contains the torque of the case, if it is constant for a period."""
     # The rates about an axis without a moment are constant.
-    inverse = np.moveaxis(np.linalg.pinv(np.moveaxis(law.inertia, (0, 1), (-2, -1))), (-2, -1), (0, 1))
+    inverse: Any = np.moveaxis(np.linalg.pinv(np.moveaxis(law.inertia, (0, 1), (-2, -1))), (-2, -1), (0, 1))
     is_turned = bool(np.any(law.turned))
 
     def velocity(t: float, y: Floats) -> Floats:
@@ -138,7 +138,7 @@ def motions(body: BodyModel, laws: Sequence[Law], times: Floats, size: float) ->
     m = len(laws)
     law = Law(*(np.stack(np.broadcast_arrays(*each), axis=-1) for each in zip(*laws, strict=True)))
     y = np.concatenate([law.rates, np.repeat(body.attitude[:, None], m, axis=1)])
-    scale = np.repeat([size or 1.0] * 3 + [1.0] * 4, m)
+    scale: Any = np.repeat([size or 1.0] * 3 + [1.0] * 4, m)
     held: list[Floats] = []
     field = motion_field(body, law, None if body.period is None else held)
 
@@ -243,7 +243,7 @@ def _tensors(body: BodyModel) -> Iterator[tuple[str, Floats]]:
             yield "the tensor is transposed: its principal axes are turned the other way", turned
             yield "the tensor is that of the principal axes, without their rotation", np.diag(moments)
     if body.is_free and np.linalg.matrix_rank(inertia) == 3:
-        yield "the inverse of the tensor was taken for it", np.linalg.inv(inertia)
+        yield "the inverse of the tensor was taken for it", np.asarray(np.linalg.inv(inertia), dtype=np.float64)
     for i, j in combinations(range(3), 2):
         if inertia[i, j]:
             other = inertia.copy()

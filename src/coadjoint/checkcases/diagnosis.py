@@ -282,8 +282,8 @@ def _quaternions(problem: Problem) -> Iterator[Explanation]:
             yield Explanation(f"the quaternion{of} {what}", table, problem.reference)
         orbit = None if problem.case.body is None or of else problem.case.body.orbital_frame
         if orbit is not None:
-            angle = orbit(problem.reference["t"])[0]
-            turned = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]) * rotations_of(problem.table)
+            phase = orbit(problem.reference["t"])[0]
+            turned = Rotation.from_rotvec(phase[:, None] * [0.0, 0.0, 1.0]) * rotations_of(problem.table)
             table = _with(problem.table, quantity.columns, np.roll(turned.as_quat(), 1, axis=1))
             yield Explanation("the attitude is relative to the orbital frame, not to space", table, problem.reference)
         if len(q) < LEAST_SAMPLES:

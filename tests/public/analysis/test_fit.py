@@ -432,7 +432,7 @@ def test_degrees_of_freedom_of_measured_attitudes():
 
 
 @pytest.mark.filterwarnings("ignore:inertia:UserWarning")
-@pytest.mark.parametrize("start", ["of the log", "of the body"])
+@pytest.mark.parametrize("start", ["of the log", pytest.param("of the body", marks=pytest.mark.long)])
 @pytest.mark.parametrize("is_inverse", [False, True], ids=["body to space", "space to body"])
 def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
     """Residuals that contradict sigma are warned of either way, and the direction if it is the cause."""
