@@ -181,7 +181,7 @@ def _read_surfaces(given: Any, order: Any, bodies: tuple[BodyInertia, ...], mass
         raise ValueError(f"surfaces has {len(surfaces)} entries, and inertias {len(bodies)} bodies; give one for each")
     found: list[Any] = []
     for k, one in enumerate(surfaces):
-        if one is None or (isinstance(one, tuple | list) and not one):
+        if one is None or (hasattr(one, "__len__") and not len(one)):
             found.append(None)
             continue
         what = f"surfaces[{k}]"
