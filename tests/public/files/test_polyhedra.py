@@ -149,6 +149,34 @@ def test_far_away_it_is_the_expansion(name):
         assert abs(np.log2(before / after) - power) < 0.15
 
 
+def test_far_away_it_is_of_second_order():
+    """Without a jump beyond rounding there; farther away, such as the Sun, without the rounding of the closed form."""
+    body, _ = homogeneous(BODIES["tetrahedron"])
+    size = np.linalg.norm(body.surface[0], axis=1).max()
+    u = np.array([2.0, -1.0, 2.0]) / 3.0
+    full, second = beside(body, POINT), S.gravitating_bodies([body, POINT], [body.mass, 1e-3])
+    for distance, tolerance in ((499.999, 4e-9), (500.001, 1e-15), (1e10, 1e-15)):
+        x = full.state([POINT, distance * size * u], attitudes=[A, A])
+        assert full.energy(x) == pytest.approx(second.energy(x), rel=tolerance)
+        forces = full.vector_field(x), second.vector_field(x)
+        np.testing.assert_allclose(*(one[27:30] for one in forces), rtol=0, atol=tolerance * np.abs(forces[1]).max())
+    # A moonlet near the asteroid, with the Sun: of two polyhedra one may be near for the other, and not the reverse.
+    first, small = homogeneous(BODIES["tetrahedron"])[0], homogeneous(BODIES["tetrahedron"], unit=1e-4)[0]
+    small = co.bodies.MassProperties(1e-3, small.inertia * 1e-3 / small.mass, surface=small.surface)
+    pair = S.gravitating_bodies([first, small], order="polyhedron")
+    r = [POINT, 3.0 * size * u]
+    near = pair.energy(pair.state(r, attitudes=[A, A]))
+    assert near == pytest.approx(full.energy(full.state(r, attitudes=[A, A])), rel=1e-8)
+    sun = beside(body, POINT, POINT, masses=[1e-3, 1e9])
+    r = [*r, [3e8, 0, 0]]
+    pulled = sun.vector_field(sun.state(r, attitudes=[A, A, A]))[36:45].reshape(3, 3)
+    alone = full.vector_field(full.state(r[:2], attitudes=[A, A]))[24:30].reshape(2, 3)
+    towards = np.array(
+        [1e9 * m * (r[2] - at) / np.linalg.norm(r[2] - at) ** 3 for m, at in zip(sun.masses[:2], r[:2], strict=True)]
+    )
+    np.testing.assert_allclose(pulled[:2], alone + towards, rtol=0, atol=1e-14 * np.abs(alone).max())
+
+
 def pieces(d):
     """Return places of six equal masses and their inertia per mass; their third moments vanish."""
     places = np.concatenate([np.diag(d), -np.diag(d)])

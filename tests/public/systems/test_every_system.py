@@ -61,6 +61,19 @@ OTHERS = {
     "gyrostat, full": S.gyrostat(FULL, (0.3, -0.4, 0.8)),
     "body in a fluid": S.kirchhoff_body(FULL, FULL[::-1, ::-1], [[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]),
     "asteroids to fourth order": S.gravitating_bodies(((0.3, 0.4, 0.5), FULL / 8), (1.5, 0.5), 0.8, 4),
+    "a polyhedron with a satellite": S.gravitating_bodies(
+        ((0.303, 0.2715, 0.3315), (0.1, 0.2, 0.25)),
+        (1.5, 0.5),
+        0.8,
+        "polyhedron",
+        surfaces=(
+            (
+                np.concatenate([np.diag([1.0, 1.1, 0.9]), -np.diag([1.0, 1.1, 0.9])]),
+                [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]],
+            ),
+            None,
+        ),
+    ),
     "molecules in a box": S.rigid_molecules(
         (((0, 0, 0), (0.5, 0, 0.4), (-0.6, 0, 0.3)), ((1, 0, 0), (0, 1, 0.5), (0, 0, 2))),
         ((-0.8, 0.4, 0.4), (0.3, 0.3, -0.6)),
@@ -195,9 +208,12 @@ def test_invariants_are_constant_along_the_field(name):
 
 def other_kind(value):
     """The same numbers as arrays of NumPy, whole ones as integers."""
-    if isinstance(value, bool | str) or callable(value) or not np.issubdtype(np.asarray(value).dtype, np.number):
+    try:
+        array = np.asarray(value)
+    except ValueError:  # arrays of several shapes
+        return tuple(map(other_kind, value))
+    if isinstance(value, bool | str) or callable(value) or not np.issubdtype(array.dtype, np.number):
         return value
-    array = np.asarray(value)
     whole = array.astype(np.int64)
     array = whole if np.array_equal(whole, array) else array
     return array if array.ndim else array[()]

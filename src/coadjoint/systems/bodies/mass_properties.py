@@ -13,7 +13,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import html_table, short
-from coadjoint.validation import Immutable, read_finite, read_positive, set_fields
+from coadjoint.validation import Immutable, read_finite, read_list, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
 Surface = tuple[Floats, npt.NDArray[np.int64]]
@@ -268,8 +268,10 @@ def _moments_of_order(values: Any, what: str, order: int) -> Floats | None:
 
 def read_surface(given: Any, what: str) -> Surface:
     """Validate vertices, (n, 3), and triangles of their numbers, (m, 3); not that they are a closed surface."""
-    if not isinstance(given, tuple | list) or len(given) != 2:
-        raise ValueError(f"{what} is {short(given)}; give a pair of vertices (n, 3) and triangles (m, 3)")
+    rule = "give a pair of vertices (n, 3) and triangles (m, 3)"
+    given = read_list(given, what, rule)
+    if len(given) != 2:
+        raise ValueError(f"{what} is {short(given)}; {rule}")
     points, numbers = read_finite(given[0], f"vertices of {what}"), read_finite(given[1], f"triangles of {what}")
     for array, name in ((points, "vertices"), (numbers, "triangles")):
         if array.ndim != 2 or array.shape[1] != 3 or not len(array):

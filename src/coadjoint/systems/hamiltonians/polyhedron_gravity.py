@@ -33,6 +33,9 @@ EDGE, FACE = 19, 13
 area."""
 PLACE = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 """Where the entries of a symmetric tensor are among the six."""
+FAR = 500.0
+"""Distance, relative to the size of a polyhedron, from which on it is of second order: 1e-9 of the attraction are there
+both the rounding of the full field, which grows as the square of the distance, and what is left out."""
 BELOW = "a body is on or below the surface of a polyhedron, whose field is known outside of it"
 
 
@@ -101,7 +104,6 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
     """Return V and its derivatives as functions of y and of the constants, for any of the bodies as `polyhedra`."""
     axes, D_at, squares_at, places_at = 9 * count, 1 + count, 1 + 10 * count, 1 + 11 * count
     bodies_of = bodies_of_shares(count)
-    with_pairs = polyhedra != 1 or count > 2  # that are not one polyhedron and another body
     pair = gravity_functions(2, 2, False)
     if polyhedra > 1:
         pair = sum_of(pair, fourth_order_terms(2, ellipsoids=False))
@@ -120,9 +122,10 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                 x[18 + 3 * n + a] = y[axes + 3 * k + a]
         return x, c
 
-    def placed(y: Any, constants: Any, one: int, other: int) -> Any:
+    def placed(y: Any, constants: Any, one: int, other: int, at: int) -> Any:
         """Return R between the centres in space, and of another body in the frame of a polyhedron its position w, B D
-        with its attitude B and anisotropic inertia D, and B D B^T by its entries, those beside the diagonal doubled.
+        with its attitude B and anisotropic inertia D, and B D B^T by its entries, those beside the diagonal doubled;
+        and whether it is near enough for the full field, and has an anisotropic inertia.
         """
         R, w, q = np.zeros_like(y[:3]), np.zeros_like(y[:3]), np.zeros_like(y[:6])
         B, BD = np.zeros_like(y[:9]), np.zeros_like(y[:9])
@@ -144,7 +147,9 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
             times = 1.0 if ROW[n] == COLUMN[n] else 2.0
             for c in range(3):
                 q[n] += times * BD[3 * ROW[n] + c] * B[3 * COLUMN[n] + c]
-        return R, w, BD, q, extended
+        reach = FAR * constants[at + 2].real
+        near = w[0].real ** 2 + w[1].real ** 2 + w[2].real ** 2 <= reach * reach
+        return R, w, BD, q, near, extended
 
     def field(w: Any, q: Any, m: Any, extended: bool, constants: Any, at: int) -> Any:
         """Return ``f = m U - q.H/2``, df/dw and H of the field U of a polyhedron of unit mass, by the table `at`."""
@@ -164,7 +169,7 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
             a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
             length = of_edge[k, 6]
             rest = a + b - length
-            if not rest.real > 0.0:
+            if rest.real <= 0.0:
                 raise ValueError(BELOW)
             L = np.log1p(2.0 * length / rest)
             gx = (of_edge[k, 7] * ax + of_edge[k, 8] * ay + of_edge[k, 9] * az) * L
@@ -180,8 +185,8 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                     H[n] += of_edge[k, 7 + n] * L
                     bent += q[n] * of_edge[k, 7 + n]
                     tilt += q[n] * of_edge[k, 13 + n]
-                bent = bent * length / (a * b + ax * bx + ay * by + az * bz)
-                tilt = tilt * (a + b) / (a * b * (a * b + ax * bx + ay * by + az * bz))
+                across = 0.5 * rest * (a + b + length)  # a b + the scalar product
+                bent, tilt = bent * length / across, tilt * (a + b) / (a * b * across)
                 T[0] += bent * (ax / a + bx / b) - tilt * (ay * bz - az * by)
                 T[1] += bent * (ay / a + by / b) - tilt * (az * bx - ax * bz)
                 T[2] += bent * (az / a + bz / b) - tilt * (ax * by - ay * bx)
@@ -216,7 +221,7 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                 H[3] -= ny * ny * angle
                 H[4] -= ny * nz * angle
                 H[5] -= nz * nz * angle
-        if not turns < 1.0:
+        if turns >= 1.0:  # 4 pi inside, and 0 outside; states that are not finite have no finite field
             raise ValueError(BELOW)
         unit = 1.0 / (size * constants[at + 3])
         f = m * U * unit
@@ -239,12 +244,15 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                 times = 1.0
                 for one, other in ((i, j), (j, i)):
                     at = int(constants[places_at + one].real)
-                    if at > 0:
-                        times -= 1.0
-                        _, w, _, q, extended = placed(y, constants, one, other)
-                        f, _, _ = field(w, q, constants[1 + other], extended, constants, at)
-                        total -= constants[0] * constants[1 + one] * f
-                if with_pairs and times != 0.0:
+                    if at == 0:
+                        continue
+                    _, w, _, q, near, extended = placed(y, constants, one, other, at)
+                    if not near:
+                        continue
+                    times -= 1.0
+                    f, _, _ = field(w, q, constants[1 + other], extended, constants, at)
+                    total -= constants[0] * constants[1 + one] * f
+                if times != 0.0:
                     x, c = alone(y, constants, i, j)
                     total += times * pair_value(x, c)
         return total
@@ -259,8 +267,10 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                     at = int(constants[places_at + one].real)
                     if at == 0:
                         continue
+                    R, w, BD, q, near, extended = placed(y, constants, one, other, at)
+                    if not near:
+                        continue
                     times -= 1.0
-                    R, w, BD, q, extended = placed(y, constants, one, other)
                     _, g, H = field(w, q, constants[1 + other], extended, constants, at)
                     factor = -constants[0] * constants[1 + one]
                     for a in range(3):
@@ -280,7 +290,7 @@ def _functions(count: int, polyhedra: int) -> tuple[Callable[..., Any], ...]:
                                 for a in range(3):
                                     result[9 * one + 3 * a + b] += slope * y[9 * other + 3 * a + c]
                                     result[9 * other + 3 * a + c] += slope * y[9 * one + 3 * a + b]
-                if with_pairs and times != 0.0:
+                if times != 0.0:
                     x, c = alone(y, constants, i, j)
                     slopes = pair_gradient(x, c)
                     for n in range(2):
