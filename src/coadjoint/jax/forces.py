@@ -32,9 +32,9 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     """Return steps between half flows of forces, as `methods.Forced`; constants: the scheme's, then coefficients."""
     plain = system.unforced
     readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
-    flows: list[Flow | tuple[Flow, Flow]] = [
-        force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)
-    ]
+    described = [force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)]
+    # Before and after a substep.
+    flows: list[tuple[Flow, Flow]] = [flow if type(flow) is tuple else (flow, flow) for flow in described]
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         own, energy = constants
@@ -42,10 +42,10 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
         def substep(state: Any, at: Any) -> Any:
             (x, attitude), (begin, length, halves) = state, at
             for j, time, duration in halves[0]:
-                x = _on_side(flows[j], 0)(energy, x, time, duration, member)
+                x = flows[j][0](energy, x, time, duration, member)
             x, attitude = inner.whole(own, (x, attitude), begin, length, member)
             for j, time, duration in halves[1]:
-                x = _on_side(flows[j], 1)(energy, x, time, duration, member)
+                x = flows[j][1](energy, x, time, duration, member)
             return x, attitude
 
         if len(scheme.fractions) == 1 or any(flow.around_steps for _, flow in system.flows):
@@ -61,10 +61,6 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
 
     functions = *inner.functions, *(one for reader in readers for one in reader.functions)
     return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step, functions=functions)
-
-
-def _on_side(flow: Flow | tuple[Flow, Flow], side: int) -> Flow:
-    return flow[side] if isinstance(flow, tuple) else flow
 
 
 class ForceReaders:

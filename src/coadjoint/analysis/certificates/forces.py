@@ -21,7 +21,6 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.forces.hamiltonian_noise import OrbitNoise
 from coadjoint.systems.system import System
 from coadjoint.validation import set_fields
 
@@ -43,7 +42,7 @@ def force_rows(subject: Subject, forced: System) -> list[Row]:
         set_fields(alone, forces=(force,), labels=(label,))
         rows.append(_flow_row(subject, forced.unforced, force, label, order))
         rows += _step_rows(subject, alone, label)
-        if isinstance(force, OrbitNoise):
+        if force.around_steps:
             rows += noise_rows(subject, forced.unforced, force, label)
     return rows
 

@@ -43,7 +43,7 @@ class Slope(NamedTuple):
     error: float
 
 
-class Moments:
+class PathDifferences:
     """Sums over paths of the differences between consecutive steps, of their squares, and of squared distances."""
 
     def __init__(self) -> None:
@@ -102,26 +102,27 @@ def _slope(values: Floats, errors: Floats) -> Slope:
 
 def noise_rows(subject: Subject, system: System, force: OrbitNoise, label: str) -> list[Row]:
     """Return the rows on the strong and the weak order of a noise around the scheme."""
-    sets = force.terms(system).sets
     order = min(2, Forced(subject.method).order)
-    claims = {"strong": 1.0 if len(sets) == 1 else 0.5, "weak": float(order)}
+    claims = {"strong": 1.0 if force.commutes(system) else 0.5, "weak": float(order)}
     rows = {name: f"{name} order of {label}" for name in claims}
     empty = [checked(row, row, f"{claims[name]:g}", True, None) for name, row in rows.items()]
-    begin, batch, moments = time.process_time(), FIRST_PATHS, Moments()
+    begin, batch, differences = time.process_time(), FIRST_PATHS, PathDifferences()
     x0 = system.states_of(subject.given[0])
     while True:
-        note_progress(f"{moments.paths + batch} paths of {label}")
+        note_progress(f"{differences.paths + batch} paths of {label}")
         try:
-            moments.add([_ends(subject, system, force, k, x0, moments.paths, batch) for k in range(len(FACTORS))])
+            differences.add(
+                [_ends(subject, system, force, k, x0, differences.paths, batch) for k in range(len(FACTORS))]
+            )
         except (IntegrationError, ArithmeticError, ValueError) as failure:
             return [replace(row, reason=str(failure)) for row in empty]
-        slopes = {"strong": _slope(*moments.strong()), "weak": _slope(*moments.weak())}
+        slopes = {"strong": _slope(*differences.strong()), "weak": _slope(*differences.weak())}
         settled = slopes["strong"].error < STRONG_UNCERTAINTY and slopes["weak"].error < WEAK_UNCERTAINTY
         passed = time.process_time() - begin
-        if settled or moments.paths + 2 * batch > MAX_PATHS or 3.0 * passed > TIME_LIMIT:
+        if settled or differences.paths + 2 * batch > MAX_PATHS or 3.0 * passed > TIME_LIMIT:
             break
-        batch = moments.paths
-    return [_row(subject, moments, rows[name], claims[name], slopes[name], name) for name in claims]
+        batch = differences.paths
+    return [_row(subject, differences, rows[name], claims[name], slopes[name], name) for name in claims]
 
 
 def _ends(subject: Subject, system: System, force: OrbitNoise, number: int, x0: Any, first: int, count: int) -> Floats:
@@ -134,22 +135,24 @@ def _ends(subject: Subject, system: System, force: OrbitNoise, number: int, x0: 
     return np.asarray(subject.norm.scaled(system.rows_of(sol.x[-1])))
 
 
-def _row(subject: Subject, moments: Moments, name: str, claim: float, slope: Slope, kind: str) -> Row:
-    values, errors = moments.strong() if kind == "strong" else moments.weak()
-    declared, paths = f"{claim:g}", f"{moments.paths} paths"
+def _row(subject: Subject, differences: PathDifferences, name: str, claim: float, slope: Slope, kind: str) -> Row:
+    values, errors = differences.strong() if kind == "strong" else differences.weak()
+    declared, paths = f"{claim:g}", f"{differences.paths} paths"
     steps = subject.h * np.array(FACTORS[:-1])
-    evidence = {"steps": steps, "differences": values, "errors": errors, "paths": moments.paths}
+    evidence = {"steps": steps, "differences": values, "errors": errors, "paths": differences.paths}
     more: dict[str, Any] = {
         "evidence": evidence,
         "source": "declared; the slope may be lower by 1/4 and twice its standard error",
     }
-    rounding = 64.0 * STEPS * UNIT_ROUNDOFF * moments.size
-    if np.all(moments.strong()[0] <= rounding):
+    rounding = 64.0 * STEPS * UNIT_ROUNDOFF * differences.size
+    if np.all(differences.strong()[0] <= rounding):
         return checked(name, name, declared, True, True, f"no difference above round-off, {paths}", **more)
     if not slope.error <= DECISIVE:
         seen = f"differences {', '.join(f'{v:.1g} +- {e:.1g}' for v, e in zip(values, errors, strict=True))}, {paths}"
         ratio = (SEEN * errors[1] / values[1]) ** 2 if values[1] > 0.0 else math.inf
-        needed = f"some {moments.paths * ratio:.0e} paths" if 1.0 < ratio < 1e6 else "stronger noise or a larger step"
+        needed = (
+            f"some {differences.paths * ratio:.0e} paths" if 1.0 < ratio < 1e6 else "stronger noise or a larger step"
+        )
         reason = f"the averages differ too little for their standard errors; this needs {needed}"
         return replace(checked(name, name, declared, True, None, seen, **more), verdict=INAPPLICABLE, reason=reason)
     measured = f"order {slope.order:.2f} +- {slope.error:.2f}, by {paths}, steps from {steps[0]:.3g}"

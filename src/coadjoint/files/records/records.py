@@ -163,7 +163,7 @@ def _force_record(force: Force) -> dict[str, Any] | None:
     if described.kinds().get(record["name"]) is not type(force):
         return None
     for key, value in force.parameters().items():
-        unknown = callable(value) or (isinstance(value, tuple) and any(map(callable, value)))
+        unknown = any(map(callable, value if type(value) is tuple else (value,)))
         entry = _force_record(value) if isinstance(value, Force) else None if unknown else plain(value)
         if entry is None and value is not None:
             return None

@@ -151,6 +151,10 @@ class OrbitNoise(Force):
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError(f"{type(self).__name__} is a noise, which has no field; its mean part is ito_drift")
 
+    def commutes(self, system: Any) -> bool:
+        """Whether the flows of all Brownian motions commute."""
+        return self.on_matrices(system).commuting if system.has_matrices else len(self.terms(system).sets) == 1
+
     def preserves_poisson(self, system: Any) -> bool:
         """Whether every path is a Poisson map: the flows of all H_k are exponentials."""
         return system.has_matrices or all(term.is_exact for term in self.terms(system).terms)
@@ -508,7 +512,7 @@ def _multiple(direction: Callable[..., Any], factor: Any) -> Callable[..., Any]:
 
 def _read_hamiltonians(value: Any, what: str) -> tuple[Any, ...]:
     """Validate one or several Hamiltonians: coefficients as tuples, formulas, and objects."""
-    one = isinstance(value, str | Polynomial) or hasattr(value, "gradient") or callable(value)
+    one = _is_object(value)
     if isinstance(value, Mapping) and value.keys() == {"real", "imaginary"}:  # the form of matrices in records
         value = read_finite(value["real"], what) + 1j * read_finite(value["imaginary"], what)
     if not one:
@@ -545,12 +549,12 @@ def _read_one(value: Any, what: str) -> Any:
 
 def _plain_hamiltonian(H: Any) -> Any:
     """Return a Hamiltonian as coefficients or a formula, which records store, or as a function, which they do not."""
-    polynomial = H.to_polynomial() if isinstance(H, Quadratic) and H.dim is not None else H
-    if isinstance(polynomial, Polynomial):
+    polynomial = H.to_polynomial() if getattr(H, "dim", None) and hasattr(H, "to_polynomial") else H
+    if hasattr(polynomial, "monomials"):
         with suppress(ValueError):  # a formula in other names
             if Polynomial(str(polynomial), polynomial.dim) == polynomial:
                 return str(polynomial)
-    return H if isinstance(H, str | tuple) or callable(H) else H.value
+    return getattr(H, "value", H)
 
 
 def _read_strength(value: Any, what: str) -> Any:
@@ -562,20 +566,20 @@ def _read_strength(value: Any, what: str) -> Any:
 
 @lru_cache(maxsize=64)
 def _on_system(H: Any, system: Any, owner: str) -> Any:
-    """Return a Hamiltonian on a system; coefficients stay an array."""
-    if isinstance(H, tuple):
+    """Return a Hamiltonian on a system."""
+    if type(H) is tuple:
         if np.ndim(H) != 1:
             raise ValueError(
                 f"a Hamiltonian of {owner} is a matrix; on {system.name} give coefficients ({system.dim},)"
             )
         held = getattr(system, "held", 0)  # numbers of sampled laws behind the coordinates
         if len(H) == system.dim - held:
-            return np.append(H, np.zeros(held))
+            H = (*H, *[0.0] * held)
         if len(H) != system.dim:
             raise ValueError(
                 f"a Hamiltonian of {owner} has {len(H)} coefficients; {system.name} has dimension {system.dim}"
             )
-        return np.array(H)
+        return Quadratic(np.zeros(len(H)), linear=H).bind(len(H))
     try:
         found = as_hamiltonian(H, system.dim, system.name, coordinate_names(system))
     except (TypeError, ValueError) as reason:
@@ -587,8 +591,6 @@ def _on_system(H: Any, system: Any, owner: str) -> Any:
 
 def _linear_part(H: Any, n: int) -> Floats | None:
     """Return the coefficients of a linear function (a constant is irrelevant), else None."""
-    if isinstance(H, np.ndarray):
-        return H
     total = np.zeros(n)
     for term in H.terms():
         if term.form is None or np.any(term.form.values != 0.0):
@@ -603,7 +605,7 @@ def _elements_on(noise: HamiltonianNoise, system: Any) -> NDArray[Any]:
     owner, algebra, layers, elements = type(noise).__name__, system.algebra, acting_layers(system), []
     for k, H in enumerate(noise.hamiltonians):
         what = f"hamiltonians[{k}] of {owner}"
-        if not isinstance(H, tuple):
+        if type(H) is not tuple:
             raise TypeError(f"{what} is {short(H)}; on the matrices of {system.name} give a matrix A, for <A, W>")
         parts = np.array(H)
         if parts.ndim not in (2, layers + 1) or (parts.ndim == 3 and len(parts) != 2):
@@ -637,8 +639,7 @@ def _terms_on(noise: HamiltonianNoise, system: Any) -> NoiseTerms:
             indices = np.flatnonzero(rows.any(axis=0))
             terms.append(NoiseTerm(indices, np.sum(factors[:, None] * rows, axis=0)[indices]))
             continue
-        functions = tuple(as_hamiltonian(_quadratic_of(energies[k]), system.dim) for k in used)
-        term = NoiseTerm(np.array(used), factors, functions)
+        term = NoiseTerm(np.array(used), factors, tuple(energies[k] for k in used))
         term = term._replace(fractions=_fractions_of(term, system))
         squares = () if term.is_exact else _squares_of(term, system.dim)
         if squares:
@@ -646,11 +647,6 @@ def _terms_on(noise: HamiltonianNoise, system: Any) -> NoiseTerms:
             term = NoiseTerm(numbers, np.ones(len(squares)), squares, FRACTIONS, split=True)
         terms.append(term)
     return NoiseTerms(tuple(terms), _commuting_sets(terms, system))
-
-
-def _quadratic_of(H: Any) -> Any:
-    """Return coefficients of a linear function as a Hamiltonian, and Hamiltonians unchanged."""
-    return Quadratic(np.zeros(len(H)), linear=H) if isinstance(H, np.ndarray) else H
 
 
 def _fractions_of(term: NoiseTerm, system: Any) -> tuple[float, ...]:
