@@ -187,6 +187,7 @@ def test_certificates_of_registered_forces(name):
     system, x = SYSTEMS[name]()
     method = co.IsospectralGauss(1) if system.has_matrices else co.Splitting()
     forces = [one.forces[0] for one, _ in acting_on(name) if described(one.forces[0], one.unforced) is None]
+    forces = [dataclasses.replace(force, seed=k) if force.random else force for k, force in enumerate(forces)]
     for h, acting in ((0.1, forces), (-0.1, [force for force in forces if force.reversible])):
         start = system.from_vector(x) if system.has_matrices else x
         rows = rows_of_forces(co.certify(system.with_forces(*acting), method, start, h, steps=2))

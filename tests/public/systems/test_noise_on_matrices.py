@@ -357,6 +357,44 @@ def test_paths_converge_with_their_orders():
         assert least < slope < most, (force, errors)
 
 
+def published_midpoint(s, A, noise, W, t, h, steps):
+    """Return the end of the midpoint rule of Ephrati, Jansson, Lang and Luesink (2024) on the path of a noise."""
+    for k in range(steps):
+        increments, _ = noise.increments(len(A), t + k * h, h)
+        M, pushed = W, np.tensordot(increments, A, axes=1)
+        for _ in range(60):
+            Z = h * s.stream_of(M) + pushed
+            M = W + 0.5 * s.bracket(Z, M) + 0.25 * Z @ M @ Z
+        W = W + s.bracket(Z, M)
+    return W
+
+
+@pytest.mark.long
+def test_strong_errors_on_the_sphere_are_not_above_those_of_the_published_midpoint():
+    """N = 16, five modes of degree two: both have order one half."""
+    s, paths = co.systems.sphere_euler(N=16), 16
+    W, A = s.random(seed=1), 0.5 * s.scale * np.array(real_modes(s, 2))
+    errors = {"exponentials": [], "midpoint": []}
+
+    def ends(level):
+        noisy = s.with_forces(F.HamiltonianNoise(list(A), 0.4, seed=8, levels=level))
+        return co.integrate(noisy, [W] * paths, (0, 0.5), 2.0**level / 256, GAUSS, save_every=128 >> level).x[-1]
+
+    exact = ends(0)
+    for level in (3, 4, 5):
+        h, found = 2.0**level / 256, {"exponentials": ends(level), "midpoint": []}
+        for m in range(paths):
+            noise = F.HamiltonianNoise(list(A), 0.4, seed=8, stream=m, levels=level)
+            found["midpoint"].append(published_midpoint(s, A * 0.4, noise, W, 0.0, h, 128 >> level))
+        for name, end in found.items():
+            errors[name].append(np.sqrt(np.mean(np.linalg.norm(np.array(end) - exact, axis=(1, 2)) ** 2)))
+    for name, values in errors.items():
+        slope = np.polyfit(np.arange(3), np.log2(values), 1)[0]
+        assert 0.3 < slope < 0.8, (name, values)
+    # The independent copy adds the variance of areas that the midpoint rule leaves out: a factor of sqrt(2) at most.
+    assert np.all(np.array(errors["exponentials"]) < 1.6 * np.array(errors["midpoint"])), errors
+
+
 def test_members_threads_and_interrupted_runs_have_the_same_bits(tmp_path):
     s = SYSTEMS["sphere"]
     x0 = np.stack([0.6 * random_matrix(s, k) for k in range(5)])

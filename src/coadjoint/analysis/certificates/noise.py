@@ -102,9 +102,8 @@ def _slope(values: Floats, errors: Floats) -> Slope:
 
 def noise_rows(subject: Subject, system: System, force: Any, label: str) -> list[Row]:
     """Return the rows on the strong and the weak order of a noise around the scheme."""
-    sets = force.terms(system).sets
     order = min(2, Forced(subject.method).order)
-    claims = {"strong": 1.0 if len(sets) == 1 else 0.5, "weak": float(order)}
+    claims = {"strong": 1.0 if force.commutes(system) else 0.5, "weak": float(order)}
     rows = {name: f"{name} order of {label}" for name in claims}
     empty = [checked(row, row, f"{claims[name]:g}", True, None) for name, row in rows.items()]
     begin, batch, differences = time.process_time(), FIRST_PATHS, PathDifferences()

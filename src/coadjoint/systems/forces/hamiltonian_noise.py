@@ -151,6 +151,10 @@ class OrbitNoise(Force):
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError(f"{type(self).__name__} is a noise, which has no field; its mean part is ito_drift")
 
+    def commutes(self, system: Any) -> bool:
+        """Whether the flows of all Brownian motions commute."""
+        return self.on_matrices(system).commuting if system.has_matrices else len(self.terms(system).sets) == 1
+
     def preserves_poisson(self, system: Any) -> bool:
         """Whether every path is a Poisson map: the flows of all H_k are exponentials."""
         return system.has_matrices or all(term.is_exact for term in self.terms(system).terms)
@@ -565,7 +569,9 @@ def _on_system(H: Any, system: Any, owner: str) -> Any:
     """Return a Hamiltonian on a system."""
     if type(H) is tuple:
         if np.ndim(H) != 1:
-            raise ValueError(f"a Hamiltonian of {owner} is a matrix; on {system.name} give coefficients ({system.dim},)")
+            raise ValueError(
+                f"a Hamiltonian of {owner} is a matrix; on {system.name} give coefficients ({system.dim},)"
+            )
         held = getattr(system, "held", 0)  # numbers of sampled laws behind the coordinates
         if len(H) == system.dim - held:
             H = (*H, *[0.0] * held)
