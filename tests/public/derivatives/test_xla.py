@@ -483,7 +483,8 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     np.testing.assert_allclose(f(states), wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF * np.abs(wanted).max())
     if len(states) == 2:
         assert np.abs(wanted[-1, 0] - wanted[-1, 1]).max() > 1e-3
-    if name in ("damping, torque", "double bracket", "order 6", "full bath", "Hamiltonian noise", "Gilbert", "Langevin"):
+    exact = "damping, torque", "double bracket", "order 6", "full bath", "Hamiltonian noise", "Gilbert", "Langevin"
+    if name in exact:
         of_x0 = jax.grad(lambda x0: (weights(wanted) * f(x0)).sum())(states)
         _, pullback = ready.vjp(states, (0.2, 1.2), save_every=5)
         gradient = pullback(weights(wanted))["x0"]

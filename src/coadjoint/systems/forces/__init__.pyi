@@ -17,9 +17,9 @@ from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
 from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
+from .gilbert import Gilbert as Gilbert
 from .hamiltonian_noise import HamiltonianNoise as HamiltonianNoise
 from .hamiltonian_noise import RandomField as RandomField
-from .gilbert import Gilbert as Gilbert
 from .langevin import Langevin as Langevin
 from .magnetorquers import BDot as BDot
 from .magnetorquers import Magnetorquers as Magnetorquers
