@@ -150,6 +150,8 @@ def test_three_fields_of_a_state(name):
     assert np.abs(euler.stream_of(euler.from_grid(zeta)) - s.stream_of(W)).max() < ROUNDED * size
     assert np.abs(np.asarray(s.relative(W)) - euler.random(3)).max() < ROUNDED * size
     assert s.energy(s.relative(W)) == pytest.approx(s.energy(W), rel=1e-12)
+    with refused(ValueError, "x0", "relative"):
+        co.integrate(s, s.relative(W), (0, 0.01), 0.01)
     dataset = co.integrate(s, W, (0, 0.01), 0.01, MIDPOINT).to_xarray()
     for name in ("vorticity", "potential_vorticity", "stream_function"):
         assert np.abs(s.from_grid(dataset[name].isel(time=0)) - W).max() < ROUNDED * size
@@ -333,8 +335,10 @@ def test_a_restart_from_another_model(tmp_path):
     humid = dataset.q.isel(time=0).assign_attrs(units="kg kg-1")
     with refused(ValueError, "q", "kg kg-1"):
         EARTH.without_units(humid)
+    biased = dataset.assign(q=(dataset.q + 1e-5).assign_attrs(units="s-1"))
+    biased.to_netcdf(tmp_path / "biased.nc", engine="h5netcdf")
     with pytest.warns(UserWarning, match="mean"):
-        s.from_grid(EARTH.without_units(dataset.q.isel(time=0) + 1e-5), absolute=True)
+        s.from_file(tmp_path / "biased.nc", planet=EARTH)
     with refused(ValueError, "vor", "buoyancy"):
         S.surface_qg(12).from_file(tmp_path / "vor.nc", planet=EARTH)
     np.save(tmp_path / "state.npy", W)

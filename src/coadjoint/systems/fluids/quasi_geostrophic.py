@@ -56,6 +56,10 @@ class QuasiGeostrophic(FluidSystem):
     """The mean of q."""
 
     @property
+    def has_frame(self) -> bool:
+        return True
+
+    @property
     def shown_fields(self) -> dict[str, tuple[str, Callable[[Any], Any], float]]:
         return {
             **super().shown_fields,

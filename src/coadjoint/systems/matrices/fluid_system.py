@@ -79,6 +79,11 @@ class FluidSystem(MatrixSystem):
     rotation: float = 0.0
     """Angular velocity of the frame."""
 
+    @property
+    def has_frame(self) -> bool:
+        """Whether states differ from relative vorticities."""
+        return bool(self.rotation)
+
     states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_modes", "from_grid", "from_file")
     """Methods that return a state, available by name in configuration files."""
 
@@ -118,7 +123,7 @@ class FluidSystem(MatrixSystem):
 
     def states_by_label(self, x: Any, what: str = "x") -> Any:
         """Return labelled states as arrays; raise ValueError for relative vorticities in place of states."""
-        if self.rotation and isinstance(x, RelativeVorticity):
+        if self.has_frame and isinstance(x, RelativeVorticity):
             raise ValueError(
                 f"{what} is a vorticity relative to the frame of {self.name}; give the state, by absolute, or the "
                 "matrix alone by np.asarray"
@@ -158,7 +163,8 @@ class FluidSystem(MatrixSystem):
             matrix = self.from_coordinates(*field[:3])
         except ValueError as reason:
             raise ValueError(f"{reason}{field.assumed}") from None
-        if (wanted := self._mean_of(kind)) is not None:
+        # with absolute=True it may be any field
+        if not absolute and (wanted := self._mean_of(kind)) is not None:
             mean = self.modes_with_mean(*field[:3])[..., 0, 0].real * self.mean_factor
             if np.abs(mean - wanted).max(initial=0.0) > MEAN_TOLERANCE * np.abs(field.values).max(initial=0.0):
                 text = f"{name} has the mean {short(mean)}, which must be {wanted:g}; the difference is dropped"
