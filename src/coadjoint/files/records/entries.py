@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -179,8 +178,8 @@ class Entry:
         match self.value:
             case dict():
                 return self.plain_table()
-            case list() as row if {*map(type, row)} == {float} and all(map(math.isfinite, row)):  # of large tables
-                return list(row)
+            case list() as row if self._depth < MAX_DEPTH and {*map(type, row)} == {float} and np.isfinite(row).all():
+                return list(row)  # of a large table
             case list():
                 return [entry.plain() for entry in self.entries()]
             case str():
