@@ -19,7 +19,7 @@ Field = Callable[[float, Floats], Floats]
 
 RELATIVE_TOLERANCE = 1e-12  # of DOP853, near the least that it takes
 MOTION_ACCURACY = 1e-9  # relative, of these motions: what is left below it is no further mistake
-MAX_EVALUATIONS = 60_000  # of the field, some seconds; later samples are left out
+MAX_EVALUATIONS = 30_000  # of the field, three seconds or some 400 radians; later samples are left out
 LEAST_ROWS = 4
 SIMPLE_FACTORS = {1 / 3: "a third of", 0.5: "half of", 2.0: "twice", 3.0: "three times"}
 
@@ -49,7 +49,7 @@ class Alteration(NamedTuple):
     law: Law
 
 
-class Parameter(NamedTuple):
+class FittedNumber(NamedTuple):
     """A number of a law that may be another multiple, within bounds, and the sentence for a factor."""
 
     kind: str
@@ -259,18 +259,18 @@ def _is_tensor(tensor: Floats) -> bool:
     return bool(moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-12))
 
 
-def parameters(body: BodyModel) -> Iterator[Parameter]:
+def fitted_numbers(body: BodyModel) -> Iterator[FittedNumber]:
     """Yield the numbers of a case that a simulator may have with other values."""
     law, I = law_of(body), body.inertia
     if body.torque is not None:
-        yield Parameter(
+        yield FittedNumber(
             "torque",
             lambda s: law._replace(torque=s * np.eye(3)),
             lambda s: f"the torque is {s:.6g} times as large",
             (-10.0, 10.0),
         )
     if body.rotors.any():
-        yield Parameter(
+        yield FittedNumber(
             "rotor",
             lambda s: law._replace(rotors=s * body.rotors),
             lambda s: f"the momentum of the rotor is {s:.6g} times as large",
@@ -288,7 +288,7 @@ def parameters(body: BodyModel) -> Iterator[Parameter]:
     for name, part in parts:
         value = float(np.trace(part)) or float(part.sum() / 2.0)
         if value:
-            yield Parameter(name, _with_part(law, part), _part_sentence(name, value))
+            yield FittedNumber(name, _with_part(law, part), _part_sentence(name, value))
 
 
 def _with_part(law: Law, part: Floats) -> Callable[[float], Law]:

@@ -1,8 +1,8 @@
 """What a difference looks like: known mistakes are undone, or made in the reference, until little of it is left.
 
-Each candidate returns corrected samples, or another reference, and is ranked by the sum of the logarithms of the
-errors of all quantities. The best one that divides the errors by `LEAST_FACTOR` in total is reported, and the search
-repeats on what it leaves.
+Each candidate returns corrected samples, or another reference, such as the motion of the body by another law, and is
+ranked by the sum of the logarithms of the errors of all quantities. The best one that divides the errors by
+`LEAST_FACTOR` in total is reported, and the search repeats on what it leaves.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from scipy.spatial.transform import Rotation
 from coadjoint.checkcases.altered_motions import (
     LEAST_ROWS,
     MOTION_ACCURACY,
+    FittedNumber,
     Law,
-    Parameter,
     alterations,
+    fitted_numbers,
     law_of,
     motions,
-    parameters,
 )
 from coadjoint.checkcases.attitudes import rotations_of, stacked
 from coadjoint.checkcases.check_case import RATES, CheckCase, Columns, DerivedQuantity, Quantity
@@ -45,13 +45,8 @@ WIDEST_RATE = 0.05  # relative change of the clock
 DENSE = 2000  # points of the interpolated reference
 LEAST_SAMPLES = 4  # for other axes, which are fitted
 FIT_ITERATIONS = 5  # of the rate of axes that turn
-FIT_SHARES = (
-    1 / 16,
-    1 / 8,
-    1 / 4,
-    1 / 2,
-    1.0,
-)  # of the samples, to which numbers of a law are fitted one after the other
+# Of the samples, to which numbers of a law are fitted one after the other.
+FIT_SHARES = 1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0
 FIT_ROWS = 6
 FIT_STEPS = 3  # of Gauss and Newton, for each share
 FIT_DIFFERENCE = 1e-6
@@ -146,7 +141,7 @@ def diagnose(
         tolerance,
         step,
     )
-    findings: list[str] = []
+    found_mistakes: list[Explanation] = []
     kept = _kept_invariants(problem)
     left = tolerance
     for _ in range(MAX_FINDINGS):
@@ -155,13 +150,14 @@ def diagnose(
         found = _best(problem)
         if found is None:
             break
-        findings.append(found.sentence)
+        # A motion by another law takes the place of an earlier one, which was not the cause.
+        found_mistakes = [each for each in found_mistakes if not (each.kind and found.kind)] + [found]
         rows, left = found.rows, found.least(left)
         problem = problem._replace(
             table={name: np.asarray(values)[rows] for name, values in found.table.items()},
             reference={name: np.asarray(values)[rows] for name, values in found.reference.items()},
         )
-    has_mistake = bool(findings)
+    findings, has_mistake = [each.sentence for each in found_mistakes], bool(found_mistakes)
     if max(problem.errors(problem.table, problem.reference).values()) > left:
         findings += _steady_changes(problem, kept)
     return findings, has_mistake
@@ -330,7 +326,7 @@ def _other_numbers(problem: Problem) -> Iterator[Explanation]:
     if body is None:
         return
     t = problem.reference["t"]
-    fitted = fit_numbers(problem, list(parameters(body)))
+    fitted = fit_numbers(problem, list(fitted_numbers(body)))
     laws = [(each.kind, each.sentence(factor), each.law(factor)) for each, factor in fitted]
     if t[0] == 0.0 and any(quantity.name == RATES.name for quantity in problem.quantities):
         rates = stacked(problem.table, RATES.columns)[0]
@@ -345,7 +341,7 @@ def _other_numbers(problem: Problem) -> Iterator[Explanation]:
             yield from _moved(problem, kind, sentence, motion)
 
 
-def fit_numbers(problem: Problem, numbers: Sequence[Parameter]) -> list[tuple[Parameter, float]]:
+def fit_numbers(problem: Problem, numbers: Sequence[FittedNumber]) -> list[tuple[FittedNumber, float]]:
     """Return numbers and the factors with the least errors, without those that leave their bounds or gain nothing.
 
     Gauss-Newton steps of each number alone, on samples up to longer and longer times, since errors of the phase have
@@ -364,6 +360,9 @@ def fit_numbers(problem: Problem, numbers: Sequence[Parameter]) -> list[tuple[Pa
             if not laws:
                 return []
             columns = _motions(early, laws)
+            reached = len(columns[0][RATES.columns[0]])
+            if reached < LEAST_ROWS:
+                return []
             for j, k in enumerate(tuple(factors)):
                 near, far = (early.residuals(early.table, columns[2 * j + i]) for i in (0, 1))
                 slope = (far - near) / FIT_DIFFERENCE
@@ -375,6 +374,8 @@ def fit_numbers(problem: Problem, numbers: Sequence[Parameter]) -> list[tuple[Pa
                     factors[k] = factor
                 else:
                     del factors[k]
+        if reached < until:
+            break  # further samples are too expensive
     return [(numbers[k], factor) for k, factor in factors.items()]
 
 
