@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 from coadjoint.errors import unknown_name
@@ -185,7 +185,7 @@ def given_columns(names: Sequence[str], needed: Collection[str], given: Any) -> 
 
 def _pairs_of(given: Any, names: Sequence[str]) -> list[tuple[str, str]]:
     """Return pairs of a known column and a name in the table, with a unit in brackets if one was given."""
-    if isinstance(given, Mapping) or hasattr(given, "items"):
+    if hasattr(given, "items"):
         return [(str(column), str(name)) for column, name in given.items()]
     try:
         entries = [entry.strip() for entry in str.split(given, ",") if entry.strip()]

@@ -91,7 +91,7 @@ def log_of_table(
         omega = UNITS["rad/s"][unit] * _numbers(table, of_rates, places)
     rotation = rotations_of(_numbers(table, [found[name] for name in QUATERNION], places), lambda k: places[k])
     body, frame, noted_epoch = _noted_frames(table.comments, str(file))
-    if body and direction != DIRECTIONS[0]:
+    if body and read_choice(direction, "direction", DIRECTIONS) != DIRECTIONS[0]:
         raise ValueError(f"{file}: direction is {short(direction)}, and a comment says {DIRECTIONS[0]}; leave it out")
     if epoch is not None and noted_epoch is not None:
         raise ValueError(f"{file} has dates and a comment with the date of t = 0; remove the comment")
@@ -103,7 +103,8 @@ def _expanded(columns: Any, attitude: Any) -> Any:
     """Return names of columns one by one, from those that name the time, the quaternion and the rates as groups."""
     if not hasattr(columns, "items"):
         return columns
-    order = ("qw", "qx", "qy", "qz") if attitude == "wxyz" else QUATERNION
+    is_first = attitude is not None and read_choice(attitude, "attitude", ORDERS) == "wxyz"
+    order = ("qw", "qx", "qy", "qz") if is_first else QUATERNION
     found: list[tuple[str, Any]] = []
     for column, text in columns.items():
         if column not in GROUPS:
