@@ -310,3 +310,25 @@ def test_tangents_of_forces_in_any_order_are_differences_of_the_step(forces):
         ends = [[scheme.step(system, x + side * e * v, t, h) for side in (1, -1)] for v in along]
         x, derivative = scheme.tangent(system, x, t, h)
         assert np.abs(along @ derivative.T - [(one - other) / (2 * e) for one, other in ends]).max() < 1e-8
+
+
+def grows(x, t, tau):
+    return x * (1.0 + tau * x[0] ** 2)
+
+
+def test_a_member_that_fails_leaves_the_others_as_they_are_alone():
+    """Members with forces are taken together; each has the bits of a run alone, up to the step in which it fails."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0)).with_forces(
+        co.forces.OwnForce(grows, backward=False)
+    )
+    starts = np.full((20, 3), 0.1)
+    starts[7] = 50.0, 1.0, 1.0
+    with pytest.raises(co.IntegrationError, match="member 7") as raised:
+        co.integrate(system, starts, (0, 5), 0.1, co.Splitting())
+    found = raised.value.partial.x
+    alone = co.integrate(system, starts[0], (0, 5), 0.1, co.Splitting()).x
+    assert np.array_equal(found[:, 0], alone) and np.array_equal(found[:, 19], alone)
+    with pytest.raises(co.IntegrationError) as failed:
+        co.integrate(system, starts[7], (0, 5), 0.1, co.Splitting())
+    part = failed.value.partial.x
+    assert np.array_equal(found[: len(part), 7], part, equal_nan=True)

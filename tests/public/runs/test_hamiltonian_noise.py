@@ -265,7 +265,7 @@ def test_the_same_paths_for_every_partition_of_a_run(tmp_path):
     system = SYSTEMS["so(3)"]()
     noise = F.HamiltonianNoise(["x1", "x2^2/2"], 0.6, seed=5, stream=3)
     noisy, x0 = system.with_forces(noise), start(system)
-    starts = np.linspace(0.5, 1.5, 37)[:, None] * x0
+    starts = np.linspace(0.5, 1.5, 70)[:, None] * x0  # more than are taken together
     whole = co.integrate(noisy, starts, (0.25, 1.5), 1 / 8)
     threaded = co.integrate(noisy, starts, (0.25, 1.5), 1 / 8, threads=2, save_every=5)
     assert np.array_equal(threaded.x, whole.x[::5])

@@ -100,7 +100,7 @@ def _slope(values: Floats, errors: Floats) -> Slope:
     return Slope(float(np.sum(weight * centred * logs)) / spread, spread**-0.5)
 
 
-def noise_rows(subject: Subject, system: System, force: OrbitNoise, label: str) -> list[Row]:
+def noise_rows(subject: Subject, system: System, force: Any, label: str) -> list[Row]:
     """Return the rows on the strong and the weak order of a noise around the scheme."""
     order = min(2, Forced(subject.method).order)
     claims = {"strong": 1.0 if force.commutes(system) else 0.5, "weak": float(order)}
