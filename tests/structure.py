@@ -21,15 +21,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # With slack: the next thousand lines, the next ten of what is counted. A change that raises a number says in a comment
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
-    "Python files": 465,  # check-cases for simulators, bodies, orbits and attitudes from files: a file each
-    "Python lines": 103_500,  # the same
+    "Python files": 480,  # forces of noise and dissipation, planetary flows: a file each
+    "Python lines": 109_000,  # the same: noise on orbits, baths, selective decay, quasi-geostrophic flows, polyhedra
     "longest file": 700,
-    "isinstance": 540,  # values of files of others
+    "isinstance": 558,  # values of files of others, Hamiltonians of noise
     "calls by text": 9,
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
-    "C++ lines": 21_000,
-    "test lines": 74_000,
+    "C++ lines": 22_500,  # noise and dissipation of vectors and of matrices
+    "test lines": 77_500,
     "test files that import internals": 80,
 }
 
