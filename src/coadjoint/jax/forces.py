@@ -19,8 +19,8 @@ from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
 from coadjoint.methods.forced import Forced, halves_of_step, substeps_of
 from coadjoint.systems.forces.base import MEASURED, OF_RUN, OF_SAMPLE, Noise, SampleNoise, SpinTerms, ThermalNoise
-from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
 from coadjoint.systems.forces.matrix_noise import QUANTA
+from coadjoint.systems.forces.orbit_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 

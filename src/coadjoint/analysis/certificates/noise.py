@@ -18,7 +18,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.systems.forces.hamiltonian_noise import OrbitNoise
+from coadjoint.systems.forces.orbit_noise import OrbitNoise
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]

@@ -30,7 +30,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.coefficients import linear_of, with_hamiltonian, with_linear
 from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise, SpinTerms, ThermalNoise
-from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms
+from coadjoint.systems.forces.orbit_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
 from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows

@@ -19,10 +19,10 @@ from .general_forces import LinearDamping as LinearDamping
 from .general_forces import OwnForce as OwnForce
 from .gilbert import Gilbert as Gilbert
 from .hamiltonian_noise import HamiltonianNoise as HamiltonianNoise
-from .hamiltonian_noise import RandomField as RandomField
 from .langevin import Langevin as Langevin
 from .magnetorquers import BDot as BDot
 from .magnetorquers import Magnetorquers as Magnetorquers
+from .random_field import RandomField as RandomField
 from .random_torque import RandomTorque as RandomTorque
 from .registry import get as get
 from .registry import names as names

@@ -2,247 +2,39 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.coordinates import KINDS, coordinate_names
-from coadjoint.systems.forces.base import Force, ForceReader, read_seed, read_state
-from coadjoint.systems.forces.matrix_noise import MatrixNoise, brownian_increments, of_elements
-from coadjoint.systems.forces.orbit_flow import (
-    Exponential,
-    bracket_of,
-    exponential,
-    exponential_with_tangent,
-    midpoint,
-)
+from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.forces.base import ForceReader, read_state
+from coadjoint.systems.forces.matrix_noise import MatrixNoise, of_elements
+from coadjoint.systems.forces.orbit_noise import NoiseTerm, NoiseTerms, OrbitNoise, read_strength
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.conjugation import (
     acting_layers,
-    check_conjugated,
-    conjugated,
-    conjugation_tangent,
     with_layers,
 )
-from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, to_array
+from coadjoint.validation import as_tuples, read_finite, to_array
 
 Floats = NDArray[np.float64]
 
-MAX_LEVELS = 20
 MAX_SQUARES = 16  # of a quadratic function, as whose flows that of the function is composed
 COMMUTING = 64 * UNIT_ROUNDOFF  # of the products: brackets below it are those of rounding
 # Suzuki's fractions, by which a symmetric flow of order two has order four.
 _OUTER = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 FRACTIONS = (_OUTER, _OUTER, 1.0 - 4.0 * _OUTER, _OUTER, _OUTER)
-
-
-class NoiseTerm(NamedTuple):
-    """What a Brownian motion multiplies: coefficients of coordinates or of `energies`, with flows at some fractions.
-
-    With `split` the flow of each energy is an exponential, and those of all are composed symmetrically.
-    """
-
-    indices: NDArray[np.int64]
-    values: Floats
-    energies: tuple[HamiltonianLike, ...] = ()
-    fractions: tuple[float, ...] = (1.0,)
-    split: bool = False
-
-    @property
-    def linear(self) -> bool:
-        return not self.energies
-
-    def direction(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the gradient at a state."""
-        if self.linear:
-            found = np.zeros(len(x))
-            found[self.indices] = self.values
-            return found
-        return np.asarray(sum(factor * H.gradient(x) for factor, H in zip(self.values, self.energies, strict=True)))
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether its flow consists of exponentials, so that it is a Poisson map."""
-        return self.split or len(self.fractions) == 1
-
-    def hessian(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the second derivatives at a state, of a function that is not linear."""
-        each = (factor * np.asarray(H.hessian(x)) for factor, H in zip(self.values, self.energies, strict=True))
-        return np.asarray(sum(each), dtype=np.float64)
-
-
-class NoiseTerms(NamedTuple):
-    """The terms of a noise, one for each Brownian motion, and the sets of those that are applied together."""
-
-    terms: tuple[NoiseTerm, ...]
-    sets: tuple[tuple[int, ...], ...]
-
-    def flows(self, increments: Floats, n: int, reverse: bool) -> Iterator[tuple[NoiseTerm | None, Any]]:
-        """Yield the flows in their order: None with the direction of an exponential, or a term with its increment."""
-        for members in reversed(self.sets) if reverse else self.sets:
-            first = self.terms[members[0]]
-            if not first.linear:
-                yield first, increments[members[0]]
-                continue
-            v = np.zeros(n)
-            for b in members:
-                v[self.terms[b].indices] += increments[b] * self.terms[b].values
-            yield None, v
-
-
-class OrbitNoise(Force):
-    """Base class of Hamiltonian noise: a strength, a seed, a stream and levels, and the terms on a system."""
-
-    strength: Any
-    seed: Any
-    stream: int
-    levels: int
-
-    casimirs: ClassVar[bool] = True
-    reversible: ClassVar[bool] = False
-    random: ClassVar[bool] = True
-    uses_energy: ClassVar[bool] = False
-    around_steps: ClassVar[bool] = True
-    moves: ClassVar[tuple[str, ...]] = KINDS
-
-    def _read_numbers(self) -> None:
-        """Validate the numbers of the noise."""
-        if self.seed is None:
-            name = type(self).__name__
-            raise TypeError(f"{name} needs a seed, a whole number: runs with the same seed have the same noise")
-        self._read(seed=read_seed, stream=read_seed)
-        self._read(levels=lambda value, what: read_integer(value, what, 0, MAX_LEVELS))
-
-    @abstractmethod
-    def terms(self, system: Any) -> NoiseTerms:
-        """Return what each Brownian motion multiplies on a system, and the sets that are applied together."""
-
-    def check(self, system: Any) -> None:
-        name = type(self).__name__
-        if system.has_matrices:
-            check_conjugated(system, name)
-            self.on_matrices(system)
-            return
-        if not system.has_structure_constants:
-            raise ValueError(
-                f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not have"
-            )
-        self.terms(system)
-
-    def on_matrices(self, system: Any) -> MatrixNoise:
-        """Return the noise on a system of matrices."""
-        raise TypeError(
-            f"{type(self).__name__} acts on states that are vectors, and those of {system.name} are matrices"
-        )
-
-    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        raise TypeError(f"{type(self).__name__} is a noise, which has no field; its mean part is ito_drift")
-
-    def commutes(self, system: Any) -> bool:
-        """Whether the flows of all Brownian motions commute."""
-        return self.on_matrices(system).commuting if system.has_matrices else len(self.terms(system).sets) == 1
-
-    def preserves_poisson(self, system: Any) -> bool:
-        """Whether every path is a Poisson map: the flows of all H_k are exponentials."""
-        return system.has_matrices or all(term.is_exact for term in self.terms(system).terms)
-
-    def ito_drift(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the drift that the noise has in the sense of Ito, in addition to that of Stratonovich.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or MatrixSystem
-            The system, with or without forces.
-        x : (n,) array_like
-            The state; of matrices also (N, N).
-
-        Returns
-        -------
-        array
-            ``1/2 sum_b D f_b(x) f_b(x)`` for the fields ``f_b = sign J(x) grad G_b`` of the Brownian motions, in the
-            form of x; ``1/2 sum_k [A_k, [A_k, W]]`` for matrices.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> import numpy as np
-        >>> spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0.0))
-        >>> co.forces.HamiltonianNoise(np.eye(3), 0.5, seed=1).ito_drift(spin, [0.0, 0.0, 1.0])
-        array([ 0.  ,  0.  , -0.25])
-        """
-        plain = system.unforced
-        self.check(plain)
-        if plain.has_matrices:
-            drift = self.on_matrices(plain).ito_drift(plain, plain.matrices(x))
-            return np.asarray(plain.to_vector(drift) if plain.is_in_numbers(x) else drift)
-        y = np.asarray(plain._vector(x), dtype=np.float64)
-        J, total = plain.structure_matrix(y), np.zeros(plain.dim)
-        for term in self.terms(plain).terms:
-            gradient = term.direction(y)
-            field = plain.sign * (J @ gradient)
-            total += 0.5 * plain.sign * (plain.product_derivative(y, gradient) @ field)
-            if not term.linear:
-                total += 0.5 * plain.sign * (J @ (term.hessian(y) @ field))
-        return total
-
-    def increments(self, count: int, t: float, tau: float) -> tuple[Floats, bool]:
-        """Return the increments of the Brownian motions of the first member in a step, and the coin: noise first."""
-        found = brownian_increments(self, count, float(t), float(tau))
-        return found.sums, found.before
-
-    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        """Return the noise of a time tau, in its order or in reverse, by a fair coin."""
-        x = self._apply(system, x, t, tau, 0)
-        return self._apply(system, x, t, tau, 1)
-
-    def _apply(self, system: Any, x: NDArray[Any], t: Any, tau: Any, side: int) -> NDArray[Any]:
-        if system.has_matrices:
-            X = system.matrices(x)
-            for U in self._unitaries(system, t, tau, side):
-                X = conjugated(system, U, X)
-            return np.asarray(system.to_vector(X))
-        for term, given in self._flows(system, t, tau, side):
-            x = exponential(system, given, x) if term is None else _term_flow(system, term, given, x, t)
-        return x
-
-    def _unitaries(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[NDArray[Any]]:
-        """Yield what conjugates matrices on a side of a step."""
-        if tau < 0.0:
-            raise ValueError(f"{type(self).__name__} is a noise, which does not run backward")
-        yield from self.on_matrices(system).unitaries(system, self, float(t), float(tau), side)
-
-    def _flows(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[tuple[NoiseTerm | None, Any]]:
-        """Yield the flows of a side of a step: all noise, or none."""
-        if tau < 0.0:
-            raise ValueError(f"{type(self).__name__} is a noise, which does not run backward")
-        found = self.terms(system)
-        increments, first = self.increments(len(found.terms), float(t), float(tau))
-        if first == (side == 0):
-            yield from found.flows(increments, system.dim, reverse=side == 1)
-
-    def on_side(self, side: int) -> Any:
-        """Return the flow before (0) or after (1) a step."""
-        return NoiseOnSide(self, side)
-
-    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        scaled = np.ndim(self.strength) == 0 and self.strength != 0.0
-        return {"strength": (1.0 / self.strength, 0.0)} if scaled else {}
-
-    def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.hamiltonian_noise(self.terms(system), self.seed, self.stream, self.levels)
 
 
 @suggest_keywords
@@ -330,7 +122,7 @@ class HamiltonianNoise(OrbitNoise):
     example: ClassVar = {"hamiltonians": ("0.3*x1", "0.2*x2"), "strength": 0.5, "seed": 11}
 
     def __post_init__(self) -> None:
-        self._read(hamiltonians=_read_hamiltonians, strength=_read_strength)
+        self._read(hamiltonians=_read_hamiltonians, strength=read_strength)
         self._read_numbers()
         count, shape = len(self.hamiltonians), np.shape(self.strength)
         if shape and shape[0] != count:
@@ -363,151 +155,6 @@ class HamiltonianNoise(OrbitNoise):
             return super().describe_to(reader, system)
         elements, noise = _elements_on(self, system), self.on_matrices(system)
         return reader.matrix_noise(system, elements, noise.commuting, self.seed, self.stream, self.levels)
-
-
-@suggest_keywords
-@dataclass(frozen=True)
-class RandomField(OrbitNoise):
-    """A random field on spins, white noise in the sense of Stratonovich: ``dS = ... + strength J(S) o dB`` at sites.
-
-    Choose it for dephasing and rotational diffusion of spins without a temperature; `HeatBath` adds the damping that
-    leads to equilibrium. Each site has three independent Brownian motions, or all sites have the same three. A free
-    spin forgets its direction as ``E P_l = exp(-strength^2 l (l + 1) t/2)`` for Legendre polynomials P_l. It is the
-    `HamiltonianNoise` of all coordinates, which has the scheme and its order; each site keeps its length to round-off.
-
-    Parameters
-    ----------
-    strength : float or (3,) array_like
-        Strength along all axes, or along each: of the field times the square root of time.
-    common : bool
-        Whether all sites have the same field, as of fluctuations of an external one.
-    seed : int
-        Seed of the noise, from 0 to 2^62. It is required, so that no two runs share a noise by accident.
-    stream, levels : int
-        As for `HamiltonianNoise`.
-
-    Raises
-    ------
-    ValueError, TypeError
-        A strength that is not finite or of the wrong shape, or a missing seed. A system other than copies of so(3),
-        when it is added to a system.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> import numpy as np
-    >>> ring = co.systems.spin_lattice("ring", 8, exchange=0.0).with_forces(co.forces.RandomField(0.5, seed=1))
-    >>> up = np.tile((0.0, 0.0, 1.0), (500, 8)).reshape(500, 24)
-    >>> sol = co.integrate(ring, up, t_span=(0, 1), step=0.25)
-    >>> bool(abs(sol.x[-1, :, 2::3].mean() - np.exp(-(0.5**2))) < 0.04)
-    True
-    """
-
-    strength: Any = 1.0
-    common: bool = False
-    seed: Any = None
-    stream: int = 0
-    levels: int = 0
-
-    example: ClassVar = {"strength": 0.3, "seed": 12}
-
-    def __post_init__(self) -> None:
-        self._read(strength=_read_strength, common=read_bool)
-        self._read_numbers()
-        shape = np.shape(self.strength)
-        if shape not in ((), (3,)):
-            raise ValueError(
-                f"strength of RandomField has the shape {shape}; give a number, or one for each axis, (3,)"
-            )
-
-    def check(self, system: Any) -> None:
-        super().check(system)
-        i, j, k, _ = system.algebra.triples
-        if system.dim % 3 or len(i) != system.dim or np.any((i // 3 != j // 3) | (i // 3 != k // 3)):
-            raise TypeError(
-                f"RandomField acts on spins, copies of so(3), and the algebra of {system.name} is another; take "
-                "HamiltonianNoise"
-            )
-
-    def terms(self, system: Any) -> NoiseTerms:
-        return _terms_of_spins(self, system.dim)
-
-
-@lru_cache(maxsize=64)
-def _terms_of_spins(field: RandomField, n: int) -> NoiseTerms:
-    strength = np.broadcast_to(np.asarray(field.strength, dtype=np.float64), 3)
-    axes = np.arange(n).reshape(-1, 3).T
-    if field.common:
-        terms = [NoiseTerm(sites, np.full(len(sites), size)) for sites, size in zip(axes, strength, strict=True)]
-        return NoiseTerms(tuple(terms), ((0,), (1,), (2,)))
-    terms = [NoiseTerm(np.array([i]), strength[i % 3 : i % 3 + 1]) for i in range(n)]
-    return NoiseTerms(tuple(terms), tuple(tuple(sites.tolist()) for sites in axes))
-
-
-class NoiseOnSide(NamedTuple):
-    """The part of a Hamiltonian noise before or after a step, as steps and their derivatives call it."""
-
-    noise: OrbitNoise
-    side: int
-
-    def flow_of_order(self, system: Any, x: NDArray[Any], t: Any, tau: Any, order: int) -> NDArray[Any]:
-        return self.noise._apply(system, x, t, tau, self.side)
-
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Floats | None:
-        product, y = np.eye(len(x)), x
-        if system.has_matrices:
-            for U in self.noise._unitaries(system, t, tau, self.side):
-                product = conjugation_tangent(system, U) @ product
-            return product
-        for term, v in self.noise._flows(system, t, tau, self.side):
-            if term is not None:
-                return None
-            y, by_x, _ = exponential_with_tangent(system, v, y)
-            product = by_x @ product
-        return np.asarray(product)
-
-    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        return self.noise.scalings()
-
-    def orbit_steps(self, system: Any, x: Floats, t: float, tau: float) -> Sequence[Any]:
-        if system.has_matrices:
-            return ()
-        steps: list[Exponential] = []
-        bracket = bracket_of(system.algebra, system.sign)
-        for term, v in self.noise._flows(system, t, tau, self.side):
-            if term is not None:
-                return ()
-            steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
-        return steps
-
-
-def _term_flow(system: Any, term: NoiseTerm, increment: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-    """Return the flow of a Hamiltonian over an increment, by midpoint rules on the orbit."""
-    for fraction in term.fractions:
-        if term.split:
-            pieces = list(zip(term.values, term.energies, strict=True))
-            for factor, (size, H) in zip(_halves(len(pieces)), [*pieces, *pieces[-2::-1]], strict=True):
-                x = exponential(system, factor * fraction * increment * size * H.gradient(x), x)
-            continue
-        found = midpoint(system, _multiple(term.direction, fraction * increment), x)
-        if found.direction is None:
-            raise IntegrationError(
-                "the midpoint rule of HamiltonianNoise did not converge; take a smaller step",
-                step=1,
-                time=float(t),
-                residual=found.residual,
-            )
-        x = exponential(system, found.direction, x)
-    return x
-
-
-def _halves(count: int) -> list[float]:
-    """Return the fractions of the flows of pieces, in their order and back."""
-    return [0.5] * (count - 1) + [1.0] + [0.5] * (count - 1)
-
-
-def _multiple(direction: Callable[..., Any], factor: Any) -> Callable[..., Any]:
-    return lambda y: factor * direction(y)
 
 
 def _read_hamiltonians(value: Any, what: str) -> tuple[Any, ...]:
@@ -555,13 +202,6 @@ def _plain_hamiltonian(H: Any) -> Any:
             if Polynomial(str(polynomial), polynomial.dim) == polynomial:
                 return str(polynomial)
     return getattr(H, "value", H)
-
-
-def _read_strength(value: Any, what: str) -> Any:
-    array = read_finite(value, what)
-    if array.ndim > 2 or not array.size:
-        raise ValueError(f"{what} has the shape {array.shape}; give a number, (d,) or (d, m) for d Hamiltonians")
-    return as_tuples(array)
 
 
 @lru_cache(maxsize=64)

@@ -11,9 +11,9 @@ import numpy as np
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import ForceReader
-from coadjoint.systems.forces.hamiltonian_noise import NoiseTerms, OrbitNoise
 from coadjoint.systems.forces.matrix_noise import MatrixNoise
 from coadjoint.systems.forces.mode_force import ModeBasis, Numbers, PerMode, Waves, modes_of, noise_matrix
+from coadjoint.systems.forces.orbit_noise import NoiseTerms, OrbitNoise
 from coadjoint.validation import as_tuples, read_finite, read_integer, read_nonnegative
 
 
