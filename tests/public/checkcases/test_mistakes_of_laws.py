@@ -1,6 +1,7 @@
 """The diagnosis of mistakes in the law of a body, each made in a simulation by DOP853 that shares no code."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -275,3 +276,15 @@ def test_an_unrelated_motion_has_no_mistake_of_a_law():
     mine = {name: values[1:] for name, values in mine.items()}
     found = case.compare(mine)
     assert found.diagnosis == () and found.unexplained, found.diagnosis
+
+
+def test_rates_relative_to_the_orbital_frame_of_a_body_that_tumbles():
+    """A free body is that of a case on an orbit too, and its axes are not those of the orbit."""
+    case, n = co.checkcases.get("free_body", **SHORT["free_body"]), 0.7
+    case = replace(case, body=replace(case.body, orbital_frame=lambda t: (n * t, n + 0 * t)))
+    mine = case.reference()
+    attitude = Rotation.from_quat(np.column_stack([mine[name] for name in (*QUATERNION[1:], "qw")]))
+    moved = np.column_stack([mine[name] for name in RATES]) - attitude.inv().apply([0.0, 0.0, n])
+    found = case.compare(mine | dict(zip(RATES, moved.T, strict=True)))
+    assert not found.unexplained and len(found.diagnosis) == 1
+    assert "rates are relative to the orbital frame" in found.diagnosis[0]

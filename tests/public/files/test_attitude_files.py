@@ -416,3 +416,29 @@ def test_refused_writing(tmp_path):
     with refused(ValueError, "9"):
         A.AttitudeLog(T, TURNED[:4])
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("unit, size", [("s", 1.0), ("ms", 1e-3), ("ns", 1e-9), ("min", 60.0), ("h", 3600.0)])
+def test_units_of_time_and_directions_of_tum(tmp_path, unit, size):
+    """By the arguments alone, since the format says neither."""
+    back, path = TURNED.inv().as_quat(), tmp_path / "log.tum"
+    path.write_text(
+        table([[t, 0.0, 0.0, 0.0, *q] for t, q in zip((T / size).tolist(), back.tolist(), strict=True)], None, " ")
+    )
+    log = A.read(path, time_unit=unit, direction="space to body")
+    np.testing.assert_allclose(log.t, T, rtol=1e-11)
+    assert (log.rotation * TURNED.inv()).magnitude().max() < CLOSE
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    "unit, turns",
+    [("rad/s", 0.5 / np.pi), ("deg/s", 1 / 360), ("rpm", 1 / 60), ("rev/s", 1), ("Hz", 1), ("deg/h", 1 / 1296000)],
+)
+def test_units_of_rates(tmp_path, unit, turns):
+    """In revolutions per second; named by the argument or by the columns."""
+    path, columns = tmp_path / "log.csv", RATED @ np.diag([1.0, *[0.5 / np.pi / turns] * 3, *[1.0] * 4])
+    for names, options in (("wx,wy,wz", {"rates": unit}), (",".join(f"w{a} [{unit}]" for a in "xyz"), {})):
+        path.write_text(table(columns.tolist(), f"t,{names},qw,qx,qy,qz"))
+        np.testing.assert_allclose(A.read(path, **options).angular_velocity, OMEGA, rtol=1e-10)

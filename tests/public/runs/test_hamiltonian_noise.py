@@ -459,3 +459,26 @@ def test_refusals():
         FREE.with_forces(F.RandomTorque(0.1, seed=1))
     with refused(TypeError, "RandomTorque", "attitude"):
         body.with_forces(F.RandomTorque(0.1, "space", seed=1))
+
+
+@pytest.mark.parametrize("axes", ["body", "space"])
+def test_the_random_torques_of_two_bodies_are_independent(axes):
+    pair, S, count = co.systems.gravitating_bodies(), np.array([[0.3, 0, 0], [0.1, 0.2, 0], [0, 0.1, 0.4]]), 4000
+    x0, torque = pair.state([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]), F.RandomTorque(S, axes, seed=4)
+    L = [pair.angular_momentum(torque.flow(pair, x0, float(t), 2.0)).ravel() for t in range(count)]
+    wanted = 2 * np.kron(np.eye(2), S @ S.T)
+    errors = np.sqrt((np.outer(np.diag(wanted), np.diag(wanted)) + wanted**2) / count)
+    assert np.all(np.abs(np.cov(np.transpose(L)) - wanted) < 4 * errors)
+
+
+def test_certified_orders_are_those_of_as_many_paths_as_are_named():
+    """Distances between the ends of members 0 to M - 1 of two runs, the finer of which has levels of one less."""
+    system, noise, h = SYSTEMS["so(3)"](), F.HamiltonianNoise("x1", 1.0, seed=3), 0.125
+    certificate = co.certify(system.with_forces(noise), co.Splitting(), start(system), h, steps=20)
+    evidence = certificate["strong order of HamiltonianNoise"].evidence
+    x0, ends = np.tile(start(system), (evidence["paths"], 1)), []
+    for step, levels in ((0.5, 3), (0.25, 2)):
+        noisy = system.with_forces(replace(noise, levels=levels))
+        ends.append(co.integrate(noisy, x0, (0.0, 2.0), step, co.Splitting(), watch=False).x[-1])
+    distance = np.sqrt(np.mean(np.sum((ends[0] - ends[1]) ** 2, axis=1)))
+    assert evidence["paths"] > 256 and evidence["differences"][0] == pytest.approx(distance, rel=1e-9)

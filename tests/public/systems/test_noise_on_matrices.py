@@ -490,3 +490,28 @@ def check_long_run(steps):
 def test_refused_noise(call, named):
     with refused((ValueError, TypeError), *named):
         call()
+
+
+def test_shares_of_a_spectrum_are_those_of_the_degrees_in_their_order():
+    s = co.systems.sphere_euler(N=5)
+    W = s.random(seed=3)
+    runs = [
+        co.integrate(s.with_forces(F.TransportNoise(degrees, 0.4, shares, seed=1)), W, (0, 1), 0.25, GAUSS).x[-1]
+        for degrees, shares in (((1, 3), (5.0, 1.0)), ((3, 1), (1.0, 5.0)))
+    ]
+    assert np.array_equal(*runs)
+
+
+@pytest.mark.parametrize("name", ["sphere", "conducting"])
+@pytest.mark.parametrize("S", [[[0.3, 0.1, -0.2], [0.0, 0.4, 0.1]], [[0.3, 0.2], [0.0, 0.1]]], ids=["wide", "square"])
+def test_correlated_noise_is_that_of_the_sums(name, S):
+    s, S = SYSTEMS[name], np.array(S)
+    elements = np.stack([0.5 * random_matrix(s, k) for k in range(2)])
+    sums = list(np.tensordot(S.T, elements, axes=1))
+    found, wanted = (
+        co.integrate(
+            s.with_forces(F.HamiltonianNoise(*noise, seed=4)), 0.3 * random_matrix(s, 5), (0, 0.25), 0.0625, GAUSS
+        ).x[-1]
+        for noise in ((list(elements), S), (sums, 1.0))
+    )
+    assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()

@@ -475,3 +475,38 @@ def test_configuration_files(tmp_path, capsys):
     found = co.load(tmp_path / "run.nc")
     wanted = co.integrate(PLANET, W, (0, 0.5), 0.125, MIDPOINT)
     assert np.abs(found.x - wanted.x).max() < ROUNDED * np.abs(W).max()
+
+
+def test_a_unit_of_time_other_than_the_day():
+    pytest.importorskip("xarray")
+    hourly = S.RotatingPlanet(6.371e6, 86164.1, 9.81, 2000.0, time=3600.0)
+    s = S.sphere_qg(12, 10.0, hourly.rotation)
+    plain = co.integrate(s, s.random(seed=1), (2.0, 2.5), 0.25, MIDPOINT).to_xarray()
+    found = hourly.with_units(plain)
+    np.testing.assert_allclose(found.time, 3600.0 * plain.time, rtol=1e-15)
+    for name, factor in (("vorticity", 1.0), ("potential_vorticity", 1.0), ("stream_function", 6.371e6**2)):
+        np.testing.assert_allclose(found[name], plain[name] * factor / 3600.0, rtol=1e-14)
+
+
+def test_heights_in_kilometres_are_those_in_metres():
+    xarray = pytest.importorskip("xarray")
+    heights = xarray.DataArray(np.array([[0.1, -0.2]]), dims=("latitude", "longitude"))
+    for name, factor in (("m", 1.0), ("km", 1e-3)):
+        found = EARTH.without_units((factor * heights).assign_attrs(units=name))
+        np.testing.assert_allclose(found, heights / 2000.0, rtol=1e-15)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    "parameters, axes",
+    [((0.0, 0.0, None, 4.0), "xyz"), ((0.0, 2.0, None, 4.0), "z"), ((0.0, 2.0), "z"), ((9.0, 0.0), "z")]
+    + [((9.0, 2.0, {(2, 0): 0.1}), "z"), ((9.0, 2.0, ISLAND), "")],
+)
+def test_the_components_of_angular_momentum_that_are_constant(parameters, axes):
+    """They are listed, and their derivatives along the motion vanish; the integrals are linear in the state."""
+    s = S.sphere_qg(8, *parameters)
+    W = s.random(seed=1)
+    field = s.vector_field(W)
+    assert list(s.integrals) == [f"angular momentum {axis}" for axis in axes]
+    for integral in s.integrals.values():
+        assert abs(integral(field)) < ROUNDED * np.abs(field).max()

@@ -245,3 +245,18 @@ def test_a_step_that_is_too_stiff_is_named():
     with pytest.raises(co.IntegrationError, match=r"smaller step than 0\.125") as caught:
         ends_of(SPHERE, [Decay(1e5)], (0.0, 1.0), (8,))
     assert caught.value.step == 1
+
+
+def test_derivatives_in_a_field_that_depends_on_time():
+    """Begun at a time other than zero: derivatives of the decay have the field of its midpoint."""
+    field = co.Hamiltonian(
+        lambda x, t: np.cos(t) * x[2] + 0.5 * x[0] ** 2,
+        lambda x, t: np.array([x[0], 0.0, np.cos(t)]),
+        lambda x, t: np.diag([1.0, 0.0, 0.0]),
+    )
+    driven = co.LiePoissonSystem(co.algebras.so(3), field).with_forces(Decay(0.4))
+    step, x0, e = co.methods.Forced(co.GaussLegendre(2)), np.array([0.6, -0.4, 0.9]), 2.0**-17
+    found = step.tangent(driven, x0, 2.0, 0.125)[1]
+    ends = [[step.step(driven, x0 + side * e * v, 2.0, 0.125) for side in (1.0, -1.0)] for v in np.eye(3)]
+    wanted = np.stack([(ahead - behind) / (2.0 * e) for ahead, behind in ends], axis=1)
+    assert np.abs(found - wanted).max() < 1e-8
