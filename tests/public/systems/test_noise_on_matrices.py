@@ -8,7 +8,6 @@ from fluids_by_modes import random_matrix
 from scipy.integrate import quad, solve_ivp
 
 import coadjoint as co
-from coadjoint.systems.matrices.streams import Weights
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -27,7 +26,7 @@ ON_SYSTEMS = pytest.mark.parametrize("name", SYSTEMS)
 
 def free(N):
     """Return su(N) without a Hamiltonian: only noise moves its states."""
-    return co.MatrixSystem(co.MatrixAlgebra("su", N), Weights(np.zeros((N, N))), name="free matrices")
+    return co.MatrixSystem(co.MatrixAlgebra("su", N), co.systems.Weights(np.zeros((N, N))), name="free matrices")
 
 
 def forces_on(system, alpha=0.05):
@@ -253,7 +252,7 @@ def test_sums_of_algebras_have_noise_in_their_blocks():
     algebra = co.MatrixAlgebra.sum(co.MatrixAlgebra("so", 3), co.MatrixAlgebra("u", 2), co.MatrixAlgebra("su", 3))
     weights = np.full((8, 8), 1.5)
     weights[5:, 5:] = 2.0
-    s = co.MatrixSystem(algebra, Weights(weights), name="blocks")
+    s = co.MatrixSystem(algebra, co.systems.Weights(weights), name="blocks")
     rng = np.random.default_rng(1)
     W = algebra.projected(rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8)))
     bath = s.with_forces(F.HeatBath(0.2, temperature=0.5, seed=3))
@@ -268,7 +267,7 @@ def test_sums_of_algebras_have_noise_in_their_blocks():
 def spins_in_anisotropy(D):
     """Return H = D (S^z)^2 of an SU(3) spin, as i (Z Z^+ - 1/3), without the constant 2 D/3, and a start."""
     A = 1j * D * (np.diag([1.0, 0.0, 1.0]) - 2 * np.eye(3) / 3)
-    system = co.MatrixSystem(co.MatrixAlgebra("su", 3), Weights(np.zeros((3, 3))), A, name="spin one")
+    system = co.MatrixSystem(co.MatrixAlgebra("su", 3), co.systems.Weights(np.zeros((3, 3))), A, name="spin one")
 
     def start(members):
         rng = np.random.default_rng(2)
@@ -298,7 +297,7 @@ def test_a_spin_in_a_field_has_the_mean_of_langevin():
     for anisotropy in (0.0, 1.5):
         # <S_3, S_3> = 1/2: H = -B z + a z^2/2 of z, W = z S_3 + ...
         weights = 2.0 * anisotropy * np.eye(2)
-        s = co.MatrixSystem(co.MatrixAlgebra("su", 2), Weights(weights), -2.0 * third, name="spin")
+        s = co.MatrixSystem(co.MatrixAlgebra("su", 2), co.systems.Weights(weights), -2.0 * third, name="spin")
         W = third * 1.0
         assert s.energy(W) == pytest.approx(-1.0 + anisotropy / 2)
         bath = s.with_forces(F.HeatBath(0.5, temperature=0.7, seed=4))
@@ -474,7 +473,7 @@ def check_long_run(steps):
             ("HamiltonianNoise", "3"),
         ),
         (
-            lambda: co.MatrixSystem(co.MatrixAlgebra("so", 4, q=1), Weights(np.ones((4, 4)))).with_forces(
+            lambda: co.MatrixSystem(co.MatrixAlgebra("so", 4, q=1), co.systems.Weights(np.ones((4, 4)))).with_forces(
                 F.DoubleBracketDamping(0.1)
             ),
             ("so(3, 1)", "skew-Hermitian"),

@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.systems.matrices.streams import Weights
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 from same_runs import same_bits
@@ -183,7 +182,7 @@ def test_a_stream_that_is_a_function(family):
         for _ in range(2)
     )
     ends = []
-    for stream in (Weights(weights), lambda W: weights * W):
+    for stream in (co.systems.Weights(weights), lambda W: weights * W):
         s = co.MatrixSystem(algebra, stream, linear).with_forces(Decay(0.05))
         sol = co.integrate(s, W0, (0.0, 0.5), 0.03125, GAUSS)
         assert np.abs(sol.work["SelectiveDecay"]["energy"]).max() < 1e-13
