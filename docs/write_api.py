@@ -53,6 +53,8 @@ MEMBERS_OF = (
         "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
+    ("A crystal", co.spins.Crystal, "bonds subcrystal"),
+    ("A bond of a crystal", co.spins.Bond, "exchange"),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
@@ -93,6 +95,7 @@ NAMESPACES = (
     ("Bodies from files ([body_files.md](body_files.md))", "bodies"),
     ("Schemes of your own ([own_schemes.md](own_schemes.md))", "methods"),
     ("Analysis", "analysis"),
+    ("Crystals of spins ([spins.md](spins.md#crystals))", "spins"),
     ("Correlations in space and time ([spins.md](spins.md))", "spectra"),
     ("Check-cases for simulators ([checkcases.md](checkcases.md))", "checkcases"),
     ("Orbits ([orbits.md](orbits.md))", "orbits"),

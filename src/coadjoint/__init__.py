@@ -14,7 +14,7 @@ Main names, each with `help(co.integrate)` and so on; `dir(co)` lists all, and d
 - Hamiltonians and forces: `Quadratic`, `Polynomial`, `Separable`, `SplitHamiltonian`, `Hamiltonian`, `forces`
 - Schemes: `Splitting`, `GaussLegendre`, `IsospectralGauss`, `Taylor`, `ReversibleSteps`, ...; `choose`, `methods`
 - Runs: `integrate`, `prepare`, `stepper`, `batch`, `integrate_ensemble`, `Event`, `poincare_section`, `Solution`
-- Files: `load`, `resume`, `open_archive`, `results`; `orbits`, `attitudes`
+- Files: `load`, `resume`, `open_archive`, `results`; `orbits`, `attitudes`; crystals: `spins`
 - Analysis: `certify`, `fit`, `modified_hamiltonian`, `lyapunov`, `analysis`; pictures: `plotting`
 
 Names are loaded lazily: importing this package loads NumPy and nothing heavier.

@@ -11,6 +11,7 @@ from . import orbits as orbits
 from . import plotting as plotting
 from . import results as results
 from . import spectra as spectra
+from . import spins as spins
 from . import systems as systems
 from . import torch as torch
 from .algebra.families.matrix_algebra import MatrixAlgebra as MatrixAlgebra

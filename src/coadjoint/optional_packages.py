@@ -31,6 +31,8 @@ EXTRAS = {
     "sgp4": "orbits",
     "ppigrf": "orbits",
     "spiceypy": "spice",
+    "gemmi": "crystals",
+    "spglib": "crystals",
     "jax": "jax",
     "torch": "torch",
 }

@@ -132,7 +132,7 @@ def test_extras_match_the_project():
     project, declared = declared_packages()
     assert all(package in declared[extra] for package, extra in EXTRAS.items())
     assert set().union(*(declared[extra] for extra in EXTRAS.values())) == set(EXTRAS)
-    extras = "functions,io,plot,cli,precision,algebra,fluids,cluster,remote,bodies,parquet,orbits,spice"
+    extras = "functions,io,plot,cli,precision,algebra,fluids,cluster,remote,bodies,parquet,orbits,spice,crystals"
     assert declared["all"] == {f"coadjoint[{extras}]"}
     assert "coadjoint[all]" in declared["dev"]
     needed = {requirement.partition(">=")[0] for requirement in project["dependencies"]}

@@ -1,0 +1,1 @@
+"""Crystals from files: CIF and POSCAR."""
