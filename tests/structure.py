@@ -21,8 +21,8 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # With slack: the next thousand lines, the next ten of what is counted. A change that raises a number says in a comment
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
-    "Python files": 480,  # forces of noise and dissipation, planetary flows: a file each
-    "Python lines": 109_000,  # the same: noise on orbits, baths, selective decay, quasi-geostrophic flows, polyhedra
+    "Python files": 485,  # forces of noise and dissipation, planetary flows, crystals: a file each
+    "Python lines": 111_000,  # the same: noise on orbits, baths, quasi-geostrophic flows, polyhedra, crystals
     "longest file": 700,
     "isinstance": 558,  # values of files of others, Hamiltonians of noise
     "calls by text": 9,
