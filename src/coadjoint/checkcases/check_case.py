@@ -280,9 +280,9 @@ class CheckCase:
         samples : mapping, str or Path
             Columns by name, a table of pandas or a dataset of xarray; or a file: CSV, Parquet or NetCDF.
         columns : mapping or str, optional
-            From columns of the case to those of the samples, with a unit in brackets unless it is the SI unit:
-            ``{"wx": "p[deg/s]"}`` or ``"wx=p[deg/s]"``. For a CSV file without a header, the names of its columns in
-            their order. By default names are matched.
+            From columns of the case to those of the samples, with a unit in brackets unless it is the SI unit or
+            the name ends with it, as ``clock_ms`` does: ``{"wx": "p[deg/s]"}`` or ``"wx=p[deg/s]"``.
+            For a CSV file without a header, the names of its columns in their order. By default names are matched.
         tolerance : float
             Largest error that passes: relative for rates, energy and other vectors, in radians for the attitude.
         step : float, optional

@@ -230,18 +230,23 @@ def _read_samples(
             quantities.append(quantity)
         elif len(missing) < len(quantity.columns):
             raise ValueError(
-                f"of {', '.join(quantity.columns)}, the table lacks {', '.join(missing)}; name them by columns"
+                f"of {', '.join(quantity.columns)}, the table lacks {', '.join(missing)}; name them by "
+                "columns= (--columns)"
             )
         else:
             absent.append(f"{quantity.name} ({', '.join(quantity.columns)})")
     unused = _listed(found.unused)
     if not quantities:
         names = ", ".join(name for name in needed if name != "t")
-        raise ValueError(f"no columns of {names} found among {short(', '.join(raw))}; name them by columns wx=NAME")
+        raise ValueError(
+            f"no columns of {names} found among {short(', '.join(raw))}; name them by columns= (--columns), such as "
+            f"{case.quantities[0].columns[0]}=NAME"
+        )
     if absent and found.unused and not found.is_chosen:
         raise ValueError(
             f"the samples lack {', '.join(absent)}, and have columns that are not recognized, {unused}; name the "
-            f"columns of all quantities to compare by columns {quantities[0].columns[0]}=NAME, or remove the others"
+            f"columns of all quantities to compare by columns= (--columns), such as {quantities[0].columns[0]}=NAME, "
+            "or remove the others"
         )
     if absent:
         notes.append(f"not compared, since the samples lack it: {', '.join(absent)}")
@@ -260,7 +265,10 @@ def _read_samples(
     margin = SPAN_MARGIN * case.end
     if t[0] < -margin or t[-1] > case.end + margin:
         outside = t[0] if t[0] < -margin else t[-1]
-        raise ValueError(f"t contains {outside:g} s; the case runs from 0 to {case.end:g} s: leave other samples out")
+        raise ValueError(
+            f"t contains {outside:g} s, and the case runs from 0 to {case.end:g} s; leave other samples out, or "
+            "give the unit of the times by columns= (--columns), such as t=NAME[ms]"
+        )
     for quantity in quantities:
         if quantity.kind != "attitude":
             continue

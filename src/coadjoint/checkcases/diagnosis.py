@@ -141,32 +141,64 @@ def diagnose(
         tolerance,
         step,
     )
-    found_mistakes: list[Explanation] = []
     kept = _kept_invariants(problem)
-    left = tolerance
+    found = _explained(Findings((), problem, tolerance), CANDIDATES)
+    if not found.is_complete:
+        for quantity in quantities if len(quantities) > 1 else ():
+            # A law that is wrong hides other mistakes, unless it is found from a quantity that has none of them.
+            alone = _explained(Findings((), problem._replace(quantities=(quantity,)), tolerance), LAWS)
+            if alone.mistakes and alone.is_complete:
+                whole = alone._replace(problem=alone.problem._replace(quantities=quantities))
+                whole = _explained(whole, CANDIDATES)
+                if whole.is_complete:
+                    found = whole
+                    break
+                if not found.mistakes:
+                    limited = [
+                        each._replace(sentence=f"{each.sentence}; this explains the {quantity.name} alone")
+                        for each in alone.mistakes
+                    ]
+                    found = Findings(tuple(limited), problem, tolerance)
+    findings = [each.sentence for each in found.mistakes]
+    if not found.is_complete:
+        findings += _steady_changes(found.problem, kept)
+    return findings, bool(found.mistakes)
+
+
+class Findings(NamedTuple):
+    """Mistakes that were found, the problem without them, and the error below which nothing is left to explain."""
+
+    mistakes: tuple[Explanation, ...]
+    problem: Problem
+    least: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is left to explain."""
+        return max(self.problem.errors(self.problem.table, self.problem.reference).values()) <= self.least
+
+
+def _explained(findings: Findings, kinds: Sequence[Candidates]) -> Findings:
+    """Return findings with further mistakes of some kinds, until nothing is left or none is likely."""
     for _ in range(MAX_FINDINGS):
-        if max(problem.errors(problem.table, problem.reference).values()) <= left:
-            break
-        found = _best(problem)
+        found = None if findings.is_complete else _best(findings.problem, kinds)
         if found is None:
             break
         # A motion by another law takes the place of an earlier one, which was not the cause.
-        found_mistakes = [each for each in found_mistakes if not (each.kind and found.kind)] + [found]
-        rows, left = found.rows, found.least(left)
-        problem = problem._replace(
+        earlier = [each for each in findings.mistakes if not (each.kind and found.kind)]
+        rows = found.rows
+        problem = findings.problem._replace(
             table={name: np.asarray(values)[rows] for name, values in found.table.items()},
             reference={name: np.asarray(values)[rows] for name, values in found.reference.items()},
         )
-    findings, has_mistake = [each.sentence for each in found_mistakes], bool(found_mistakes)
-    if max(problem.errors(problem.table, problem.reference).values()) > left:
-        findings += _steady_changes(problem, kept)
-    return findings, has_mistake
+        findings = Findings((*earlier, found), problem, found.least(findings.least))
+    return findings
 
 
-def _best(problem: Problem) -> Explanation | None:
+def _best(problem: Problem, kinds: Sequence[Candidates]) -> Explanation | None:
     """Return the simplest of the most likely mistakes; None if none divides the errors enough."""
     trials: list[tuple[float, Explanation, bool]] = []
-    for candidates in CANDIDATES:
+    for candidates in kinds:
         if any(explained for _, _, explained in trials):
             break  # later kinds are less simple, and take longer
         for trial in candidates(problem):
@@ -591,7 +623,12 @@ def _scales(problem: Problem) -> Iterator[Explanation]:
                 )
 
 
-CANDIDATES: tuple[Callable[[Problem], Iterator[Explanation]], ...] = (
+Candidates = Callable[[Problem], Iterator[Explanation]]
+
+LAWS: tuple[Candidates, ...] = (_altered, _schemes, _other_numbers)
+"""Kinds of mistakes that change the motion of a body, and not only what is written of it."""
+
+CANDIDATES: tuple[Candidates, ...] = (
     _rates,
     _quaternions,
     _altered,

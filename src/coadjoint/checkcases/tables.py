@@ -191,7 +191,9 @@ def assign_columns(
             converted = f" (converted from {unit or split_unit(name)[1]})" if factor != 1.0 else ""
             notes.append(f"{column} is {short(name)}{converted}")
     if "t" not in result:
-        raise ValueError(f"no column is the time t; there are {_listed(raw)}: name it by columns t=NAME")
+        raise ValueError(
+            f"no column is the time t; there are {_listed(raw)}; name it by columns= (--columns), such as t=NAME"
+        )
     result.notes = tuple(notes)
     used = {name for name, _ in sources.values()}
     result.unused = tuple(str(name) for name in raw if name not in used)
@@ -208,8 +210,9 @@ def _refuse_unordered_quaternion(
     q1, q2, q3, q4 = (plain[name] for name in UNORDERED)
     raise ValueError(
         f"{q1}, {q2}, {q3}, {q4} are a quaternion of unknown order, since programs differ about which one is the "
-        f"scalar; give columns qw={q4},qx={q1},qy={q2},qz={q3} if {q4} is, qw={q1},qx={q2},qy={q3},qz={q4} if {q1} "
-        "is, or all names of columns in their order with - for these, to leave them out"
+        f"scalar; give columns= (--columns) qw={q4},qx={q1},qy={q2},qz={q3} if {q4} is, "
+        f"qw={q1},qx={q2},qy={q3},qz={q4} if {q1} is, or all names of columns in their order with - for these, "
+        "to leave them out"
     )
 
 
@@ -238,7 +241,9 @@ def _matched_sources(raw: Mapping[str, Any], needed: Mapping[str, str]) -> dict[
         ]
         if len(complete) > 1:
             several = " and ".join(" ".join(plain[word][0] for word in alias) for alias in complete)
-            raise ValueError(f"{', '.join(columns)} could be {several}; name them by columns {columns[0]}=NAME")
+            raise ValueError(
+                f"{', '.join(columns)} could be {several}; name them by columns= (--columns), such as {columns[0]}=NAME"
+            )
         for alias in complete:
             found |= {column: (plain[word][0], "") for column, word in zip(columns, alias, strict=True)}
     return found

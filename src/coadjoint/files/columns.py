@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from coadjoint.errors import unknown_name
@@ -45,9 +46,12 @@ UNITS: dict[str, dict[str, float]] = {
 
 SPELLINGS = {
     "s": ("sec", "seconds"),
-    "ms": ("msec",),
-    "us": ("usec", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s"),
-    "ns": ("nsec",),
+    "ms": ("msec", "millis", "milliseconds"),
+    "us": ("usec", "micros", "microseconds", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s"),
+    "ns": ("nsec", "nanos", "nanoseconds"),
+    "min": ("minutes",),
+    "h": ("hours",),
+    "d": ("days",),
     "rad/s": ("rad_per_sec", "rad_per_s", "rad_sec", "rad/sec", "rad_s", "radps"),
     "deg/s": ("deg_per_sec", "deg_per_s", "deg_sec", "deg/sec", "deg_s", "degps", "dps", "\N{DEGREE SIGN}/s"),
 }
@@ -58,6 +62,9 @@ TIMES = ("t", "time", "times", "timestamp", "seconds", "simtime", "elapsedtime",
 
 TIME_ENDINGS = "s", "ms", "us", "ns"
 """Units of the time that may end its name without brackets; "t_h" and such may be something else."""
+
+AMBIGUOUS = ("min", "h", "d", "hz", "nm")
+"""Units, in small letters, that a name may mean otherwise: a minimum, a height, a sampling rate, nautical miles."""
 
 _CANONICAL = {text: unit for unit, texts in SPELLINGS.items() for text in texts}
 _RATE_ENDINGS = {f"_{text}": unit for unit in ("rad/s", "deg/s") for text in SPELLINGS[unit] if "/" not in text}
@@ -155,6 +162,31 @@ def canonical_unit(text: str) -> str:
     return text if text in known else _CANONICAL.get(text.lower(), text.lower() if text.lower() in known else text)
 
 
+def _unit_of_chosen(column: str, name: str, si: str) -> str:
+    """Return the unit in a name that the user gave for a column, or ""; ValueError if it may mean something else."""
+    stated = split_unit(name)[1]
+    if stated:
+        return stated
+    words = f"_{_in_words(name)}_"
+    units = {_in_words(text): unit for unit in UNITS.get(si, {}) for text in (unit, *SPELLINGS.get(unit, ()))}
+    found = sorted((text for text in units if f"_{text}_" in words), key=len, reverse=True)
+    last = next((text for text in found if words.endswith(f"_{text}_")), None)
+    if last is not None and last not in AMBIGUOUS:
+        return units[last]
+    unit = next((units[text] for text in found if units[text] != si), None)
+    if unit is not None:
+        raise ValueError(
+            f"columns: {short(column)}={short(name)}, whose unit may be {unit}; give it in brackets, "
+            f"{short(f'{name}[{unit}]')} or {short(f'{name}[{si}]')}"
+        )
+    return ""
+
+
+def _in_words(name: str) -> str:
+    """Return a name in small letters with _ between its words."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])|[\W_]+", "_", name).lower()
+
+
 def unit_size(column: str, name: str, unit: str, si: str) -> float:
     """Return the size of a unit; ValueError for one that is no unit of this quantity."""
     if unit in ("", si, "-"):
@@ -165,8 +197,8 @@ def unit_size(column: str, name: str, unit: str, si: str) -> float:
     return known[unit]
 
 
-def given_columns(names: Sequence[str], needed: Collection[str], given: Any) -> dict[str, tuple[str, str]]:
-    """Return the columns that the user named: column -> (name in the table, unit or "")."""
+def given_columns(names: Sequence[str], needed: Mapping[str, str], given: Any) -> dict[str, tuple[str, str]]:
+    """Return the columns that the user named, of those needed: column -> (name in the table, unit or "")."""
     sources: dict[str, tuple[str, str]] = {}
     for column, text in () if given is None else _pairs_of(given, names):
         if column not in needed:
@@ -179,7 +211,7 @@ def given_columns(names: Sequence[str], needed: Collection[str], given: Any) -> 
             )
         if column in sources or any(name == other for other, _ in sources.values()):
             raise ValueError(f"columns: {short(column)}={short(text)} names a column again; name each once")
-        sources[column] = name, unit
+        sources[column] = name, unit or _unit_of_chosen(column, name, needed[column])
     return sources
 
 

@@ -606,6 +606,48 @@ def test_units_have_their_sizes(column, unit, size):
     assert found.passed and any(f"converted from {unit}" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(
+    "column, name, size",
+    [
+        ("t", "clock_ms", 1e-3),
+        ("t", "log time milliseconds", 1e-3),
+        ("t", "stampUs", 1e-6),
+        ("t", "elapsed_hours", 3600),
+        ("t", "clock_s", 1),
+        ("wx", "roll_rpm", 2 * math.pi / 60),
+        ("wx", "rollRateDps", math.radians(1)),
+        ("wx", "att1", 1),
+    ],
+)
+@pytest.mark.parametrize("is_text", [False, True])
+def test_units_end_the_names_that_are_given(column, name, size, is_text):
+    case = case_of("free_body")
+    mine = case.reference()
+    mine[name] = mine.pop(column) / size
+    found = case.compare(mine, columns=f"{column}={name}" if is_text else {column: name})
+    assert found.passed and any("converted" in note for note in found.notes) == (size != 1)
+
+
+@pytest.mark.parametrize(
+    "column, name, unit",
+    [("t", "clock_h", "h"), ("t", "t_min", "min"), ("t", "ms_clock", "ms"), ("wx", "gyro_100_hz", "Hz")],
+)
+def test_units_in_names_that_may_mean_something_else_are_refused(column, name, unit):
+    case = case_of("free_body")
+    mine = case.reference()
+    mine[name] = mine.pop(column)
+    with refused(ValueError, repr(name), f"{name}[{unit}]", f"{name}[{'s' if column == 't' else 'rad/s'}]"):
+        case.compare(mine, columns={column: name})
+    assert case.compare(mine, columns={column: f"{name}[{'s' if column == 't' else 'rad/s'}]"}).passed
+
+
+def test_times_beyond_the_span_are_perhaps_of_another_unit():
+    case = case_of("free_body")
+    mine = case.reference()
+    with refused(ValueError, "20000 s", "t=NAME[ms]", "--columns"):
+        case.compare(mine | {"t": 1e3 * mine["t"]})
+
+
 @pytest.mark.parametrize("norm", [1.5, 0.5])
 def test_quaternions_of_other_norms_are_normalized_and_noted(norm):
     case = case_of("free_body")

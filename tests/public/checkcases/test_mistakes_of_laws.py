@@ -267,6 +267,30 @@ def test_a_part_of_the_motion_is_enough_for_a_moment(kept):
     named_alone(case, {name: mine[name][rows] for name in ("t", *kept)}, "moment of inertia about y is 4 % larger")
 
 
+@pytest.mark.parametrize("mistake", ["scalar last", "conjugated", "degrees"])
+def test_a_moment_is_found_beside_a_convention(mistake):
+    """A moment that is wrong hides another mistake: it is found from the quantity that has none."""
+    case = co.checkcases.get("free_body", **({} if mistake == "degrees" else {"end": 10.0, "samples": 41}))
+    mine = simulated(case, inertia=scaled_moment(case, 1, 0.96))
+    w, x, y, z = (mine[name] for name in QUATERNION)
+    changes = {
+        "scalar last": {"qw": x, "qx": y, "qy": z, "qz": w},
+        "conjugated": {"qw": -w},
+        "degrees": {name: np.degrees(mine[name]) for name in RATES},
+    }
+    found = case.compare(mine | changes[mistake])
+    assert len(found.diagnosis) == 2 and not found.unexplained, found.diagnosis
+    assert "the moment of inertia about y is 4 % smaller: 1.92, not 2 kg m^2" in found.diagnosis
+    assert any(mistake in text.replace("its scalar", "scalar") for text in found.diagnosis), found.diagnosis
+
+
+def test_a_moment_beside_another_law_explains_the_rates_alone():
+    case = co.checkcases.get("free_body", end=10.0, samples=41)
+    found = case.compare(simulated(case, inertia=scaled_moment(case, 1, 0.96), order="w q"))
+    (text,) = found.diagnosis
+    assert "about y is 4 % smaller" in text and text.endswith("this explains the rates alone"), text
+
+
 def test_an_unrelated_motion_has_no_mistake_of_a_law():
     """One number that is fitted does not explain three moments and another start of a body with a torque."""
     case = co.checkcases.get("spin_up", **SHORT["spin_up"])

@@ -75,6 +75,19 @@ CSV = {
         table(IN_DEGREES, "t,u,v,w,qw,qx,qy,qz"),
         {"columns": {"rates": ["u[deg/s]", "v[deg/s]", "w[deg/s]"]}},
     ),
+    "a unit in a name of another": (
+        table(rows(W_FIRST, t=1e3 * T), "clock_ms,qw,qx,qy,qz"),
+        {"columns": {"time": "clock_ms"}},
+    ),
+    "a unit of a name as text": (
+        table(rows(W_FIRST, t=1e6 * T), "logStampUs,qw,qx,qy,qz"),
+        {"columns": "t=logStampUs"},
+    ),
+    "a unit beside a name": (table(rows(W_FIRST), "clock_ms,qw,qx,qy,qz"), {"columns": {"time": "clock_ms[s]"}}),
+    "units in names of rates": (
+        table(IN_TURNS, "t,roll_rpm,pitch_rpm,yaw_rpm,qw,qx,qy,qz"),
+        {"columns": {"rates": ["roll_rpm", "pitch_rpm", "yaw_rpm"]}},
+    ),
     "signs": (table(rows(W_FIRST * np.array([1.0, -1.0] * 4 + [1.0])[:, None]), "t,qw,qx,qy,qz"), {}),
 }
 
@@ -299,7 +312,7 @@ WRONG = {
     "contradiction": (table(rows(X), "t,qx,qy,qz,qw"), {"attitude": "wxyz"}, ("wxyz", "qx, qy, qz, qw")),
     "an unknown order": (table(rows(X)), {"attitude": "zyxw"}, ("zyxw",)),
     "no time": (table(rows(X), "a,qx,qy,qz,qw"), {}, ("named", "'a'")),
-    "no quaternion": (table(rows(X), "t,a,b,c,d"), {}, ("qw", "'a'")),
+    "no quaternion": (table(rows(X), "t,a,b,c,d"), {}, ("'a'", "columns=", "qw=NAME")),
     "six columns": (table([[*row, 1.0] for row in rows(X)]), {"attitude": "wxyz"}, ("6 columns",)),
     "a short row": (table([*rows(X), [9.0, 1.0]], "t,qx,qy,qz,qw"), {}, ("line 11", "2 columns")),
     "text": (table([*rows(X), [9.0, "x", 0, 0, 1]], "t,qx,qy,qz,qw"), {}, ("line 11", "'x'")),
@@ -350,6 +363,21 @@ WRONG = {
     "names alone": ("t,qx,qy,qz,qw\n", {}, ("no rows",)),
     "comments alone": ("# nothing\n", {}, ("no rows",)),
     "nothing": ("", {}, ("empty",)),
+    "a unit that may be another": (
+        table(rows(X), "clock_h,qx,qy,qz,qw"),
+        {"columns": {"time": "clock_h"}},
+        ("'clock_h'", "clock_h[h]", "clock_h[s]"),
+    ),
+    "a unit beside time_unit": (
+        table(rows(X), "clock_ms,qx,qy,qz,qw"),
+        {"columns": {"time": "clock_ms"}, "time_unit": "s"},
+        ("'ms'", "time_unit"),
+    ),
+    "an unknown group": (
+        table(RATED, "t,wx,wy,wz,qw,qx,qy,qz"),
+        {"columns": {"angular_velocity": ["wx", "wy", "wz"]}},
+        ("'angular_velocity'", "time, quaternion, rates", "qw, wx"),
+    ),
     "a segment": (table(rows(X), "t,qx,qy,qz,qw"), {"segment": 0}, ("segment",)),
     "Euler angles": (aem("EULER_ANGLE"), {}, ("EULER_ANGLE", "QUATERNION")),
     "two frames of space": (aem(REF_FRAME_B="ICRF"), {}, ("ICRF", "SC_BODY_1")),

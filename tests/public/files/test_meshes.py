@@ -134,9 +134,9 @@ def test_touching_boxes_are_one_body(tmp_path):
 @pytest.mark.parametrize(
     "arguments, named",
     [
-        ({"mass": 1.0}, ["scale", "OBJ", "no unit"]),
+        ({"mass": 1.0}, ["scale", "OBJ files have no unit"]),
         ({"scale": 1.0}, ["mass", "density", "one of them"]),
-        ({"scale": 1.0, "mass": 1.0, "density": 1.0}, ["mass and density"]),
+        ({"scale": 1.0, "mass": 1.0, "density": 1.0}, ["mass and density were both given", "one of them"]),
         ({"scale": 0.0, "mass": 1.0}, ["scale"]),
         ({"scale": 1.0, "mass": -1.0}, ["mass"]),
         ({"scale": 1.0, "density": np.inf}, ["density"]),

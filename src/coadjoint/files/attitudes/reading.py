@@ -44,7 +44,7 @@ def read(
     format : {"csv", "tum", "aem"}, optional
         That of a file with another suffix.
     columns : mapping or str, optional
-        Columns of a CSV file with other names, with a unit in brackets unless it is in the name:
+        Columns of a CSV file with other names, with a unit in brackets unless the name ends with it:
         ``{"time": "stamp[ms]", "quaternion": ["a", "b", "c", "d"], "rates": ["u[deg/s]", "v[deg/s]", "w[deg/s]"]}``,
         with the order of the quaternion by `attitude`, or one by one, ``{"t": "stamp[ms]", "qw": "a", ...}`` or
         ``"t=stamp[ms],qw=a,..."``. Text without ``=`` lists all columns in their order, with ``-`` for those to leave

@@ -72,7 +72,10 @@ def log_of_table(
     if "t" not in found:
         of_time = next((k for k, title in enumerate(titles) if bare(title) in TIMES), None) if titles else 0
         if of_time is None:
-            raise ValueError(f"{file}: no column is named {', '.join(TIMES)}, but {', '.join(map(short, names))}")
+            raise ValueError(
+                f"{file}: no column is named {', '.join(TIMES)}, but {', '.join(map(short, names))}; name it by "
+                "columns=, such as columns='t=NAME'"
+            )
         found["t"] = of_time
     omega, of_rates = None, [found[name] for name in RATES[0] if name in found]
     if not of_rates:
@@ -108,6 +111,11 @@ def _expanded(columns: Any, attitude: Any) -> Any:
     found: list[tuple[str, Any]] = []
     for column, text in columns.items():
         if column not in GROUPS:
+            if column not in COLUMNS:
+                raise ValueError(
+                    f"columns: unknown column {short(column)}; name the groups {', '.join(GROUPS)}, or one by one "
+                    f"{', '.join(COLUMNS)}"
+                )
             found.append((column, text))
             continue
         group = ("t",) if column == "time" else RATES[0] if column == "rates" else order
@@ -242,8 +250,8 @@ def _quaternion_columns(file: Path, names: Sequence[str], width: int, attitude: 
             return [found[k] for k in order]
     if names:
         raise ValueError(
-            f"{file}: no columns are named qw, qx, qy, qz, but {', '.join(map(short, names))}; rename those of the "
-            "quaternion"
+            f"{file}: no columns are named qw, qx, qy, qz, but {', '.join(map(short, names))}; name those of the "
+            "quaternion by columns=, such as columns='qw=NAME,qx=NAME,qy=NAME,qz=NAME'"
         )
     if width != 5:
         raise ValueError(f"{file} has {width} columns without names; give the time and four of a quaternion, or names")

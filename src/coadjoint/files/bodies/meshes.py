@@ -29,11 +29,12 @@ def properties_of_mesh(path: Path, scale: Any, mass: Any, density: Any) -> MassP
     """Return the mass properties of a homogeneous body with a closed surface."""
     suffix = path.suffix.lower()
     if (mass is None) == (density is None):
-        given = "neither mass nor density" if mass is None else "mass and density"
-        raise ValueError(f"{path}: {given} was given, and a mesh has none; give one of them")
+        given = "neither mass nor density was given, and a mesh has none"
+        given = given if mass is None else "mass and density were both given"
+        raise ValueError(f"{path}: {given}; give one of them")
     if scale is None and suffix not in GLTF:
         raise ValueError(
-            f"{path}: scale is needed, since a {suffix[1:].upper()} file has no unit; give the length of its unit, "
+            f"{path}: scale is needed, since {suffix[1:].upper()} files have no unit; give the length of its unit, "
             "such as scale=0.001 for a file in millimetres and results in metres"
         )
     length = 1.0 if scale is None else read_positive(scale, "scale")
@@ -76,7 +77,9 @@ def _surface(path: Path, suffix: str) -> tuple[Floats, npt.NDArray[np.int64]]:
     except MemoryError:
         raise
     except Exception as error:  # damaged files raise arbitrary errors
-        raise ValueError(f"{path} is no {suffix[1:].upper()} file of a mesh: {type(error).__name__}: {error}") from None
+        raise ValueError(
+            f"{path} is no mesh in the format {suffix[1:].upper()}: {type(error).__name__}: {error}"
+        ) from None
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"{path} has no triangles in space; its vertices need three coordinates")
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
