@@ -459,3 +459,5 @@ def test_refusals():
         FREE.with_forces(F.RandomTorque(0.1, seed=1))
     with refused(TypeError, "RandomTorque", "attitude"):
         body.with_forces(F.RandomTorque(0.1, "space", seed=1))
+    with refused(ValueError, "axes of RandomTorque", "body, space"):
+        F.RandomTorque(0.1, [(1, 0, 0)], seed=1)
