@@ -125,7 +125,7 @@ def test_transport_noise_lacks_a_share_of_its_eddy_diffusivity(surface, N):
     sol = co.integrate(s.with_forces(noise), starts, (0, t), t / 8, GAUSS, save_every=8)
     mean, error = estimates(starts, sol.x[-1])
     assert abs(mean - np.exp(-rate * t)) < 4 * error
-    assert mean - np.exp(-0.5**2 / 4 * (l * (l + 1) if sphere else l * l) * t) > 5 * error
+    assert mean - np.exp(-(0.5**2) / 4 * (l * (l + 1) if sphere else l * l) * t) > 5 * error
 
 
 def estimates(W0, X):
