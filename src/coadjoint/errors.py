@@ -111,10 +111,12 @@ MAX_LISTED_NAMES = 50
 def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     """Return the ValueError for an unknown name of a `kind`, with the nearest known one if the name is a string."""
     names = sorted(known)
+    few = len(names) <= MAX_LISTED_NAMES
     if not isinstance(name, str):
-        return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
+        listing = f"give one of the names: {', '.join(names)}" if few else f"give a name, such as {names[0]!r}"
+        return ValueError(f"unknown {kind} {short(name)}; {listing}")
     near = nearest(name, names)
-    if near is None and len(names) <= MAX_LISTED_NAMES:
+    if near is None and few:
         return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(names)}")
     near = near or nearest(name, names, min_similarity=0.0)
     return ValueError(f"unknown {kind} {short(name)}; did you mean {near!r}?")

@@ -482,3 +482,5 @@ def test_certified_orders_are_those_of_as_many_paths_as_are_named():
         ends.append(co.integrate(noisy, x0, (0.0, 2.0), step, co.Splitting(), watch=False).x[-1])
     distance = np.sqrt(np.mean(np.sum((ends[0] - ends[1]) ** 2, axis=1)))
     assert evidence["differences"][0] == pytest.approx(distance, rel=1e-9)  # of several batches, but on slow machines
+    with refused(ValueError, "axes of RandomTorque", "body, space"):
+        F.RandomTorque(0.1, [(1, 0, 0)], seed=1)

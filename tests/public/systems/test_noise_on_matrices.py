@@ -100,6 +100,33 @@ def test_transport_noise_is_the_eddy_diffusivity_of_its_strength(surface):
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.parametrize(("surface", "N"), [("sphere", 16), ("sphere", 32), ("torus", 33), ("torus", 65)])
+def test_transport_noise_lacks_a_share_of_its_eddy_diffusivity(surface, N):
+    """(d(d + 1) - 2)(l(l + 1) - 2)/4N^2 on the sphere, (pi d |n|/N)^2 on the torus, and paths have the exact rate."""
+    s, sphere = co.systems.get(f"{surface}_euler", N=N), surface == "sphere"
+    for d, l in ((1, 5), (3, 1), (3, 2), (4, 3)):
+        noise, W = F.TransportNoise(d, 0.4, seed=1), s.from_modes({(l, 0): 1.0})
+        rate = -np.vdot(W, noise.ito_drift(s, W)).real / np.vdot(W, W).real
+        lacking = 1.0 - rate / (0.04 * (l * (l + 1) if sphere else l * l))
+        if sphere:
+            share = (d * (d + 1) - 2) * (l * (l + 1) - 2) / (2.0 * N) ** 2
+            assert abs(lacking - share) < share**2 + 1e-12
+        else:  # wave numbers of a degree are from d - 1/2 to d + 1/2
+            share = (pi * l / N) ** 2 * (d + np.array([-0.5, 0.5])) ** 2
+            assert share[0] - share[1] ** 2 < lacking < share[1]
+    if N > 33:
+        return
+    d, l, t = 7, 5, 0.5
+    noise = F.TransportNoise(d, 0.5, seed=1)
+    W = 1e-3 * (s.random(seed=2, degrees=(l, l)) if sphere else s.from_modes({(4, 3): 1.0}))
+    rate = -np.vdot(W, noise.ito_drift(s, W)).real / np.vdot(W, W).real
+    starts = np.array([W] * 100)
+    sol = co.integrate(s.with_forces(noise), starts, (0, t), t / 8, GAUSS, save_every=8)
+    mean, error = estimates(starts, sol.x[-1])
+    assert abs(mean - np.exp(-rate * t)) < 4 * error
+    assert mean - np.exp(-(0.5**2) / 4 * (l * (l + 1) if sphere else l * l) * t) > 5 * error
+
+
 def estimates(W0, X):
     """Return the mean projection of states onto their starts, and its standard error."""
     shares = np.einsum("kij,kij->k", W0.conj(), X).real / np.einsum("kij,kij->k", W0.conj(), W0).real

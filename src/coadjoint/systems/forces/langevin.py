@@ -58,7 +58,7 @@ class Langevin(Force):
         axes of a body need principal axes, a diagonal tensor of inertia.
     temperature : float or (k,) array_like
         Boltzmann's constant times the temperature, in units of the energy, zero or positive; of k bodies also one for
-        each. With energies in kJ/mol and T in kelvin it is 0.0083145 T.
+        each. In SI units it is 1.380649e-23 T in J, T in kelvin; with energies in kJ/mol 0.0083145 T.
     seed : int
         Seed of the noise, from 0 to 2^62. It is required, so that no two runs share a noise by accident.
     stream : int

@@ -151,10 +151,10 @@ def spin_lattice(
         other lattices in the plane of the first two. Computed by FFT in time N log N: `SphericalMidpoint` and
         Runge-Kutta methods support it, splittings do not.
     moments : number or (sites,)
-        mu, positive: the length of the angular momentum of which S_i is the direction, ``S_i' = S_i cross B_i`` with
-        ``B_i = -(1/mu_i) dH/dS_i``. Energies over moments are frequencies: with magnetic moments the unit of time has
-        gamma = 1, and the magnetic field b has the term ``-mu_i b . S_i``, so that `field` is mu_i b. Equal ones if
-        there are dipoles.
+        mu, positive, in the order of the state: the length of the angular momentum of which S_i is the direction,
+        ``S_i' = S_i cross B_i`` with ``B_i = -(1/mu_i) dH/dS_i``. Energies over moments are frequencies: with magnetic
+        moments the unit of time has gamma = 1, and the magnetic field b has the term ``-mu_i b . S_i``, so that `field`
+        is mu_i b. Equal ones if there are dipoles.
 
     Returns
     -------
