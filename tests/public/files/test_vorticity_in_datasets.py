@@ -49,6 +49,9 @@ def test_the_vorticity_is_on_a_grid(name, members, tmp_path):
     assert again.to_xarray().identical(data) and np.array_equal(again.x, sol.x)
     finer = again.to_xarray(grid=(19, 36))
     assert finer.vorticity.sizes[axes[0]] == 19 and "vorticity" not in again.to_xarray(grid=False)
+    velocity = [finer[f"{axis}_velocity"] for axis in ("eastward", "northward")]
+    assert velocity[0].dims == dims and "eastward_velocity" not in finer.vorticity.coords
+    np.testing.assert_array_equal(velocity, fluid.velocity(W, (19, 36)))
     finer.to_netcdf(tmp_path / "finer.nc", engine="h5netcdf")
     assert co.load(tmp_path / "finer.nc").to_xarray().identical(finer)
     rebuilt = co.results.rebuild(data)

@@ -48,6 +48,50 @@ def test_values_are_sums_of_harmonics(points, shape):
     assert np.all(np.diff(latitude) < 0) and longitude[0] == 0.0
 
 
+STEP = 1e-5  # of central differences in radians: errors of N^3 STEP^2/6, and of rounding over STEP
+
+
+@pytest.mark.parametrize("points", GRIDS)
+def test_velocities_are_derivatives_of_the_stream_function(points):
+    """u = -d psi/d latitude, v = d psi/d longitude/cos(latitude), of members, by differences of sums of harmonics."""
+    members = np.stack([SPHERE.random(seed, degrees=(1, N - 1)) for seed in (3, 4)])
+    latitude, longitude = SPHERE.grid((7, 12), points)
+    north, east = latitude[:, None], longitude[None, :]
+    u, v = SPHERE.velocity(members, (7, 12), points)
+    assert u.shape == v.shape == (2, 7, 12)
+    for k, W in enumerate(members):
+        psi = {(l, m): -c / (l * (l + 1)) for (l, m), c in SPHERE.modes(W).items()}
+        southward = summed(psi, north - STEP, east) - summed(psi, north + STEP, east)
+        eastward = summed(psi, north, east + STEP) - summed(psi, north, east - STEP)
+        inner = np.cos(latitude) > 1e-6  # at the poles the direction is that of the meridian
+        for found, wanted in ((u, southward), (v, eastward / np.cos(north))):
+            assert np.abs((found[k] - wanted / (2 * STEP))[inner]).max() < 1e-8 * np.abs(u).max()
+    flow = TORUS.random(5)
+    x, y = TORUS.grid((10, 14))
+    psi = {(a, b): -w / (a * a + b * b) for (a, b), w in TORUS.modes(flow).items()}
+    along = [summed_waves(psi, x[:, None] + s, y[None, :]) for s in (-STEP, STEP)]
+    across = [summed_waves(psi, x[:, None], y[None, :] + s) for s in (-STEP, STEP)]
+    u, v = TORUS.velocity(flow, (10, 14))
+    assert np.abs(u - (across[0] - across[1]) / (2 * STEP)).max() < 1e-8 * np.abs(u).max()
+    assert np.abs(v - (along[1] - along[0]) / (2 * STEP)).max() < 1e-8 * np.abs(v).max()
+
+
+@pytest.mark.parametrize("rotation", [0.0, 3.0])
+def test_velocities_of_solid_rotations(rotation):
+    """About any axis, relative to the frame: axis x r along east and north, also at the poles."""
+    axis = np.array([0.3, -0.5, 0.7])
+    s = co.systems.sphere_euler(N, rotation)
+    latitude, longitude = (one.ravel() for one in np.meshgrid(*s.grid(), indexing="ij"))
+    r = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], -1)
+    east = np.stack([-np.sin(longitude), np.cos(longitude), 0 * longitude], -1)
+    motion = np.cross(axis, r)
+    W = s.from_grid((2 * r @ axis).reshape(N + 1, 2 * N), absolute=False)
+    for given in (W, s.relative(W)):
+        u, v = s.velocity(given)
+        assert np.abs(u.ravel() - (motion * east).sum(-1)).max() < ROUNDED
+        assert np.abs(v.ravel() - (motion * np.cross(r, east)).sum(-1)).max() < ROUNDED
+
+
 @pytest.mark.parametrize("points", GRIDS)
 @pytest.mark.parametrize("shape", [(N + 1, 2 * N), (N + 2, 2 * N - 1), (31, 50)])
 def test_there_and_back(points, shape):

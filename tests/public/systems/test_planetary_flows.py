@@ -157,6 +157,28 @@ def test_three_fields_of_a_state(name):
         assert np.abs(s.from_grid(dataset[name].isel(time=0)) - W).max() < ROUNDED * size
 
 
+@pytest.mark.parametrize("name", FLOWS)
+def test_velocities_have_the_kinetic_energy(name):
+    """The integral of |u|^2/2 by quadrature is that of the modes of psi; over topography rest is rest."""
+    s = FLOWS[name]
+    W = s.random(3)
+    if s.surface == "sphere":
+        weights = np.polynomial.legendre.leggauss(16)[1]
+        u, v = s.velocity(W, (16, 32), "gauss-legendre")
+        mean = (u**2 + v**2).mean(axis=1) @ weights / 2
+    else:
+        u, v = s.velocity(W, (32, 32))
+        mean = np.mean(u**2 + v**2)
+    psi = s.mode_array(s.stream_of(W), absolute=True)
+    wanted = (s.squares * s.eigenvalues * np.abs(psi) ** 2).sum() / 2
+    assert s.area * mean / 2 == pytest.approx(wanted, rel=1e-12)
+    if s.has_frame:
+        assert wanted == pytest.approx(s.energy_spectrum(W)[1].sum(), rel=1e-12)
+        again, rest = s.velocity(s.relative(W)), s.absolute(np.zeros(s.shape))
+        assert np.abs(np.array(again) - s.velocity(W)).max() < ROUNDED * np.abs(u).max()
+        assert np.abs(s.velocity(rest)).max() < ROUNDED * np.abs(u).max()
+
+
 def topographic_waves(m, lamb, omega, height, count=60):
     """Return the angular velocities of waves over h(mu), by Galerkin's method with spherical harmonics, ascending."""
     mu, weights = np.polynomial.legendre.leggauss(200)
@@ -337,7 +359,7 @@ def test_a_restart_from_another_model(tmp_path):
         EARTH.without_units(humid)
     biased = dataset.assign(q=(dataset.q + 1e-5).assign_attrs(units="s-1"))
     biased.to_netcdf(tmp_path / "biased.nc", engine="h5netcdf")
-    with pytest.warns(UserWarning, match="mean"):
+    with pytest.warns(UserWarning, match=f"mean {s.planetary_mean + 1e-5 * 86164.1:.4f}"):
         s.from_file(tmp_path / "biased.nc", planet=EARTH)
     with refused(ValueError, "vor", "buoyancy"):
         S.surface_qg(12).from_file(tmp_path / "vor.nc", planet=EARTH)
@@ -352,6 +374,16 @@ def test_a_restart_from_another_model(tmp_path):
         assert found[name].attrs["units"] == units and found[name].attrs["cell_methods"] == "time: point"
         last = s.from_file(tmp_path / "run.nc", variable=name, select={"time": -1}, planet=EARTH)
         assert np.abs(last - run.x[-1]).max() < ROUNDED * np.abs(W).max()
+    whole = EARTH.with_units(run.to_xarray(grid=True))
+    u, v = s.velocity(run.x)
+    for name, values, standard in (("eastward", u, "eastward_wind"), ("northward", v, "northward_wind")):
+        field = whole[f"{name}_velocity"]
+        np.testing.assert_allclose(field, values * 6.371e6 / 86164.1, rtol=1e-14)
+        assert field.attrs["units"] == "m s-1" and field.attrs["standard_name"] == standard
+        with refused(ValueError, f"{name}_velocity", "velocity"):
+            s.from_grid(run.to_xarray(grid=True)[f"{name}_velocity"].isel(time=0))
+    whole[["vorticity", "eastward_velocity"]].to_netcdf(tmp_path / "wind.nc", engine="h5netcdf")
+    assert np.abs(s.from_file(tmp_path / "wind.nc", select={"time": -1}, planet=EARTH) - run.x[-1]).max() < 1e-10
     heights = xarray.DataArray(np.full((13, 12), 20.0), {"lat": np.linspace(-90, 90, 13), "lon": np.arange(0, 360, 30)})
     heights = heights * np.sin(np.radians(heights.lat))
     flat = S.sphere_qg(12, 10.0, 1.0, EARTH.without_units(heights.assign_attrs(units="m")))
@@ -372,6 +404,9 @@ def test_what_cannot_be_used_is_refused():
         ({"topography": field.assign_attrs(units="m")}, ("topography", "units m", "depth")),
         ({"topography": field.where(field.lat < 60.0)}, ("NaN", "lat", "60", "lon")),
         ({"topography": field.drop_vars("lon")}, ("height", "lon")),
+        ({"topography": field.isel(lon=slice(3))}, ("longitudes", "60 degrees", "part")),
+        ({"topography": field.isel(lat=slice(3, 9))}, ("latitudes", "-45 to 30 degrees", "part")),
+        ({"topography": field.pad(lon=(0, 1), mode="wrap").assign_coords(lon=[*east, 360.0])}, ("isel", "meridian")),
         ({"topography": [[2, 1, 0.1, 0.0], [2, 1, 0.1, 0.0]]}, ("topography", "twice")),
         ({"lamb": 1e9}, ("lamb", "1e+09", "N")),
     ):
@@ -380,6 +415,9 @@ def test_what_cannot_be_used_is_refused():
             pytest.warns() if arguments.get("lamb") == 1e9 else pytest.MonkeyPatch.context(),
         ):
             S.sphere_qg(**{"N": 8, "lamb": 1.0, "rotation": 1.0} | arguments)
+    for units in ({}, {"units": ""}):
+        with refused(ValueError, "height", "units"):
+            EARTH.without_units(field.assign_attrs(units))
     with refused(TypeError, "topography", "coordinates"):
         S.sphere_qg(8, 1.0, 1.0, lambda latitude: latitude)
     with pytest.warns(UserWarning, match=r"mean 0\.25"):

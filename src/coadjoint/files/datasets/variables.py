@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +22,7 @@ from coadjoint.runs.results.solution_attributes import are_rotations, rotations_
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import differing_numbers
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD
+from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD, VELOCITIES
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -307,7 +306,13 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     found: Variables = {}
     for name, (long_name, matrices_of, mean) in shown.items():
         W = fluid.matrices(solution.x[..., int(name != "carried"), :, :] if two else solution.x)
-        found[name] = ((*dims, *axes), _on_grid(fluid, matrices_of(W), shape) + mean, cf_attributes(long_name))
+        values = _on_grid(matrices_of(W), lambda finite: fluid.to_grid(finite, shape, absolute=True))
+        found[name] = ((*dims, *axes), values + mean, cf_attributes(long_name))
+    if grid is not None:
+        W = solution.x[..., 1, :, :] if two else solution.x
+        both = _on_grid(fluid.matrices(W), lambda finite: np.stack(fluid.velocity(finite, shape), axis=1))
+        for k, (name, (long_name, _)) in enumerate(VELOCITIES.items()):
+            found[name] = ((*dims, *axes), both[..., k, :, :], cf_attributes(long_name))
     return found, _coordinates(on_sphere, rows, columns)
 
 
@@ -322,7 +327,7 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
 
     fluid = _fluid_of(solution.system)
     shown = () if fluid is None else fluid.shown_fields
-    names = (*shown, "carried", "latitude", "longitude", "eastward", "northward")
+    names = (*shown, *VELOCITIES, "carried", "latitude", "longitude", "eastward", "northward")
     rest = dataset.drop_vars(names, errors="ignore")
     found, coordinates = vorticity_variables(solution, grid)
     of_run = xarray.Dataset(found, coordinates, dict(dataset.attrs))
@@ -331,10 +336,10 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
     return with_checksum(result) if CHECKSUM in dataset.attrs else result
 
 
-def _on_grid(fluid: FluidSystem, W: NDArray[Any], shape: Any) -> Floats:
-    """Return the field of matrices (..., N, N) on a grid; NaN for states after a failure."""
+def _on_grid(W: NDArray[Any], values_of: Callable[[NDArray[Any]], Floats]) -> Floats:
+    """Return the values on a grid of matrices (..., N, N), by a function of (k, N, N); NaN after a failure."""
     finite = np.isfinite(W).all(axis=(-2, -1))
-    values = fluid.to_grid(W[finite], shape, absolute=True)
+    values = values_of(W[finite])
     result = np.full((*finite.shape, *values.shape[1:]), np.nan)
     result[finite] = values
     return result

@@ -196,16 +196,17 @@ class SolutionOutput(SolutionAttributes):
         ----------
         grid : (int, int) or bool, optional
             Of a fluid: the numbers of latitudes and longitudes (on the torus, of points along both sides) at which the
-            dataset has the vorticity; False for none, nor the motion of bodies, True for those of ``system.grid()``. By
-            default True for fields of at most 128 MB, where the package that evaluates spherical harmonics is
-            installed.
+            dataset has the vorticity and the velocity; False for none, nor the motion of bodies, True for those of
+            ``system.grid()``. By default those of ``system.grid()`` without the velocity, for fields of at most 128 MB,
+            where the package that evaluates spherical harmonics is installed.
 
         Returns
         -------
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr. Runs of fluids have also
             ``vorticity`` over ``latitude`` and ``longitude`` in degrees, or ``eastward`` and ``northward``, relative to
-            the rotating sphere; runs of two fields ``carried`` as well. Runs of bodies in memory have their
+            the rotating sphere, and with ``grid=`` the velocity, ``eastward_velocity`` and ``northward_velocity``; runs
+            of two fields ``carried`` as well. Runs of bodies in memory have their
             ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also ``body``, the
             ``quaternion`` (x, y, z, w) of a known attitude, ``wheel_speed`` and ``gimbal_angle``.
 

@@ -458,7 +458,7 @@ def sphere_qg(
         Angular velocity of the frame about the axis through the poles, in the unit of time of the run: 2 pi if this is
         a day, and 1/(2 Ro) for a Rossby number Ro = U/(2 Omega a) and the time a/U.
     topography : optional
-        The height h of the ground over the mean depth: a function of latitude and longitude in radians; modes
+        The height h of the ground divided by the mean depth: a function of latitude and longitude in radians; modes
         ``{(l, m): c}`` as for `SphereEuler.from_modes`, or rows [l, m, real, imaginary]; values on the default grid of
         `sphere_euler`; an `xarray.DataArray` with coordinates; the path of a NetCDF file. A mean is dropped with a
         warning.
@@ -529,7 +529,7 @@ def torus_qg(N: int = 33, gamma: float = 0.0, topography: Any = None) -> TorusQG
     gamma : float
         Squared inverse of the deformation radius, not negative, in units of the torus of side 2 pi.
     topography : optional
-        The topographic potential vorticity eta, f0 times the height over the mean depth: a function of x and y in
+        The topographic potential vorticity eta, f0 times the height divided by the mean depth: a function of x and y in
         radians; modes ``{(n1, n2): w}`` or rows [n1, n2, real, imaginary]; values on the default grid of `torus_euler`;
         an `xarray.DataArray` with coordinates; the path of a NetCDF file. A mean is dropped with a warning.
 

@@ -198,6 +198,38 @@ class SphereEuler(FluidSystem):
         modes = harmonics_of_matrix(self._shown(W, absolute, "to_grid"))
         return spherical_modes.values_of(modes, self._shape(shape), points)
 
+    def velocity(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> tuple[Floats, Floats]:
+        """Return the eastward and northward velocity at the points of a grid of any shape, exactly.
+
+        It is relative to the frame, in radii per unit of time: the derivatives ``-d psi/d latitude`` and
+        ``d psi/d longitude/cos(latitude)`` of the stream function. At a pole it is along the meridian of each column.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            States, or relative vorticities from `relative`.
+        shape, points
+            As for `grid`.
+
+        Returns
+        -------
+        u, v : (..., rows, columns) arrays
+
+        Raises
+        ------
+        MissingPackageError
+            ducc0 is not installed.
+
+        Examples
+        --------
+        >>> s = sphere_euler(N=4)
+        >>> u, v = s.velocity(-2 * generators(4)[2], (3, 1))
+        >>> u[:, 0].round(12) + 0.0
+        array([0., 1., 0.])
+        """
+        modes = harmonics_of_matrix(self._stream_shown(W))
+        return spherical_modes.velocity_of(modes, self._shape(shape), points)
+
     def from_grid(
         self,
         values: Any,

@@ -178,6 +178,32 @@ class TorusEuler(FluidSystem):
         w = modes_of_matrix(self._shown(W, absolute, "to_grid"))
         return torus_modes.values_of(w, read_shape(shape, (1, 1), self.algebra.shape))
 
+    def velocity(self, W: Any, shape: Any = None) -> tuple[Floats, Floats]:
+        """Return the velocity along x and y at the points of a grid of any shape, exactly.
+
+        It is ``-d psi/dy, d psi/dx`` of the stream function.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            States, or relative vorticities from `relative`.
+        shape : (int, int), optional
+            As for `grid`.
+
+        Returns
+        -------
+        u, v : (..., nx, ny) arrays
+
+        Examples
+        --------
+        >>> s = torus_euler(N=9)
+        >>> u, v = s.velocity(s.from_modes({(0, 1): 0.5j}), (1, 4))
+        >>> u.round(12) + 0.0
+        array([[ 1.,  0., -1.,  0.]])
+        """
+        modes = modes_of_matrix(self._stream_shown(W))
+        return torus_modes.velocity_of(modes, read_shape(shape, (1, 1), self.algebra.shape))
+
     def from_grid(self, values: Any, *, absolute: bool | None = None) -> Matrix:
         """Return the matrix of a field given at the points of a grid; the mean is removed.
 

@@ -19,6 +19,7 @@ from coadjoint.systems.matrices.labelled_fields import (
     RELATIVE_VORTICITY,
     STATE,
     STREAM,
+    VELOCITY,
     WITHOUT_UNITS,
     kind_of,
     labelled_field,
@@ -118,6 +119,14 @@ class FluidSystem(MatrixSystem):
         """Return the values of the field of states (..., N, N) at the points of a grid."""
 
     @abstractmethod
+    def velocity(self, W: Any, shape: Any = None) -> tuple[Floats, Floats]:
+        """Return the two components of the velocity of states (..., N, N) relative to the frame, on a grid."""
+
+    def _stream_shown(self, W: Any) -> Complexes:
+        """Return the stream matrices of states, or of matrices that `relative` returned."""
+        return self.stream_of(self.absolute(W) if isinstance(W, RelativeVorticity) else W)
+
+    @abstractmethod
     def from_grid(self, values: Any, *, absolute: bool | None = None) -> Complexes:
         """Return the state W of the values of a field at the points of a grid; the mean is removed."""
 
@@ -153,6 +162,8 @@ class FluidSystem(MatrixSystem):
         """Return the states of an array of xarray, by its coordinates, and by its attributes if `absolute` is None."""
         kind = kind_of(values) if absolute is None else STATE if read_bool(absolute, "absolute") else RELATIVE
         name, units = str(values.name or "values"), units_of(values)
+        if kind == VELOCITY:
+            raise ValueError(f"{name} is a component of a velocity; give a vorticity or a stream function")
         if units not in WITHOUT_UNITS:
             raise ValueError(
                 f"{name} has the units {short(units)}, and a system has none; give planet= of from_file, or a field of "
@@ -166,8 +177,13 @@ class FluidSystem(MatrixSystem):
         # with absolute=True it may be any field
         if not absolute and (wanted := self._mean_of(kind)) is not None:
             mean = self.modes_with_mean(*field[:3])[..., 0, 0].real * self.mean_factor
-            if np.abs(mean - wanted).max(initial=0.0) > MEAN_TOLERANCE * np.abs(field.values).max(initial=0.0):
-                text = f"{name} has the mean {short(mean)}, which must be {wanted:g}; the difference is dropped"
+            size, excess = np.abs(field.values).max(initial=0.0), np.abs(mean - wanted)
+            if excess.max(initial=0.0) > MEAN_TOLERANCE * size:
+                worst = float(np.ravel(mean)[excess.argmax()])
+                text = (
+                    f"{name} has the mean {worst:.6g} and the largest value {size:.6g}, in the units of {self.name}; "
+                    f"the mean must be {wanted:g}, and the difference is dropped"
+                )
                 warn_caller(text, UserWarning)
         if kind == STREAM:
             return self.from_stream(matrix)

@@ -29,7 +29,12 @@ RELATIVE_VORTICITY, CARRIED_FIELD = "vorticity relative to the frame of the surf
 """Long names of the fields in datasets of runs."""
 POTENTIAL_VORTICITY, STREAM_FUNCTION = "potential vorticity", "stream function"
 BUOYANCY = "buoyancy at the surface"
-RELATIVE, STATE, STREAM = "relative vorticity", "field of the state", "stream function"
+VELOCITIES = {
+    "eastward_velocity": ("eastward velocity relative to the frame", "eastward_wind"),
+    "northward_velocity": ("northward velocity relative to the frame", "northward_wind"),
+}
+"""Name of a component in datasets of runs -> its long name, and its standard name of CF in those with units."""
+RELATIVE, STATE, STREAM, VELOCITY = "relative vorticity", "field of the state", "stream function", "velocity"
 KINDS = {
     RELATIVE_VORTICITY: RELATIVE,
     CARRIED_FIELD: STATE,
@@ -42,6 +47,8 @@ KINDS = {
     "atmosphere_absolute_vorticity": STATE,
     "atmosphere_upward_absolute_vorticity": STATE,
     "atmosphere_horizontal_streamfunction": STREAM,
+    **{name: VELOCITY for names in VELOCITIES.values() for name in names},
+    **dict.fromkeys(("eastward_sea_water_velocity", "northward_sea_water_velocity"), VELOCITY),
 }
 """Long or standard name -> kind of a field; one that is no field of a fluid is taken as it is, as the state."""
 LONG_NAMES = {RELATIVE: RELATIVE_VORTICITY, STATE: POTENTIAL_VORTICITY, STREAM: STREAM_FUNCTION}
@@ -92,7 +99,8 @@ def _check_gaps(field: xarray.DataArray, name: str) -> None:
         first = dict(zip(field.dims, gaps[0].tolist(), strict=True))
         place = ", ".join(f"{axis} = {field[axis].to_numpy()[index]}" for axis, index in first.items())
         raise ValueError(
-            f"{name} is NaN at {len(gaps)} points, first at {place}; fill them, such as land by the field's fillna(0.0)"
+            f"{name} is NaN at {len(gaps)} points, first at {place}; fill them: land by the field's fillna(0.0), "
+            "for a vorticity or a height about the mean depth (about sea level, 0 is a wall as high as the fluid)"
         )
 
 
@@ -159,7 +167,8 @@ def _of_dataset(
     dataset: xarray.Dataset, surface: str, name: str, variable: str | None, select: Mapping[str, int] | None
 ) -> xarray.DataArray:
     names = [str(key) for key, array in dataset.data_vars.items() if array.ndim >= 2]
-    fields = [key for key in names if all(_coordinate(dataset[key], known) is not None for known in AXES[surface])]
+    on_surface = [key for key in names if all(_coordinate(dataset[key], known) is not None for known in AXES[surface])]
+    fields = [key for key in on_surface if kind_of(dataset[key]) != VELOCITY]
     if variable is None and len(fields or names) != 1:
         raise ValueError(f"{name} has the variables {short(fields or names)}; choose one by variable=")
     chosen = (fields or names)[0] if variable is None else variable

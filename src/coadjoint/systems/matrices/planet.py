@@ -18,6 +18,7 @@ from coadjoint.systems.matrices.labelled_fields import (
     POTENTIAL_VORTICITY,
     RELATIVE_VORTICITY,
     STREAM_FUNCTION,
+    VELOCITIES,
     WITHOUT_UNITS,
     units_of,
 )
@@ -34,7 +35,7 @@ KILOMETRES = ("km", "kilometre", "kilometres", "kilometer", "kilometers")
 
 
 MOUNTAINS = ((45.0, 250.0, 12.0, 0.1), (35.0, 90.0, 15.0, 0.1), (-30.0, 290.0, 8.0, 0.06), (-55.0, 60.0, 20.0, -0.1))
-"""Latitude, longitude and width in degrees, and height over the depth, of the mountains of an example."""
+"""Latitude, longitude and width in degrees, and height divided by the depth, of the mountains of an example."""
 
 
 def unit_vectors(latitude: Any, longitude: Any) -> Any:
@@ -149,18 +150,23 @@ class RotatingPlanet:
         Raises
         ------
         TypeError, ValueError
-            No `xarray.DataArray`, or other units.
+            No `xarray.DataArray`, no attribute ``units``, or other units.
         """
         if not is_xarray(field):
             raise TypeError(f"field is {short(field)}; give an xarray.DataArray with the attribute units")
         units = units_of(field)
         scales = {
-            **dict.fromkeys(WITHOUT_UNITS, 1.0),
+            **dict.fromkeys(filter(None, WITHOUT_UNITS), 1.0),
             **dict.fromkeys(RATES, self.seconds),
             **dict.fromkeys(DIFFUSIVITIES, self.seconds / self.radius**2),
             **dict.fromkeys(METRES, 1.0 / self.depth),
             **dict.fromkeys(KILOMETRES, 1e3 / self.depth),
         }
+        if not units:
+            raise ValueError(
+                f'{field.name or "field"} has no attribute units; give them, such as by assign_attrs(units="m") for '
+                "heights in metres, or 1 for numbers in the units of the model"
+            )
         if units not in scales:
             raise ValueError(
                 f"{field.name or 'field'} has the units {short(units)}; convert it to s-1 (a vorticity), m2 s-1 (a "
@@ -227,7 +233,7 @@ class RotatingPlanet:
         Returns
         -------
         xarray.Dataset
-            Vorticities (s-1) and stream function (m2 s-1), over the time of the run in seconds.
+            Vorticities (s-1), stream function (m2 s-1) and velocities (m s-1), over the time of the run in seconds.
 
         Raises
         ------
@@ -252,6 +258,10 @@ class RotatingPlanet:
                 "m2 s-1",
                 {"standard_name": "atmosphere_horizontal_streamfunction"},
             ),
+            **{
+                long_name: (self.radius / self.seconds, "m s-1", {"standard_name": standard_name})
+                for long_name, standard_name in VELOCITIES.values()
+            },
         }
         fields = {}
         for name, field in dataset.data_vars.items():

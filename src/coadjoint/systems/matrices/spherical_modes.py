@@ -273,18 +273,30 @@ def longitudes(columns: int, first: float = 0.0) -> Floats:
 
 def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
     """Return values (..., rows, columns) of the field with coefficients ``c[l, m]``, (..., N, N), at grid points."""
+    return _synthesis(c, shape, points, spin=0)[..., 0, :, :]
+
+
+def velocity_of(c: Complexes, shape: tuple[int, int], points: str) -> tuple[Floats, Floats]:
+    """Return the eastward and northward velocity of a stream function with coefficients ``c[l, m]``, (..., N, N)."""
+    # u = -d psi/d latitude, the derivative southward, and v = d psi/d longitude/cos(latitude)
+    gradient = _synthesis(c, shape, points, spin=1, mode="DERIV1")
+    return gradient[..., 0, :, :], gradient[..., 1, :, :]
+
+
+def _synthesis(c: Complexes, shape: tuple[int, int], points: str, spin: int, mode: str = "STANDARD") -> Floats:
+    """Return fields (..., 1 + spin, rows, columns) of coefficients at grid points."""
     code = GRIDS[read_choice(points, "points", GRIDS)]
     require_packages("a grid on the sphere", "ducc0")
     from ducc0.sht import synthesis_2d
 
     N, lead = c.shape[-1], c.shape[:-2]
     rows, columns = _triangle(N - 1, N - 1)
-    values = np.empty((*lead, *shape))
+    values = np.empty((*lead, 1 + spin, *shape))
     for index in np.ndindex(lead):
         alm = np.ascontiguousarray(c[index][rows, columns])[None]
         values[index] = synthesis_2d(
-            alm=alm, spin=0, lmax=N - 1, mmax=N - 1, geometry=code, ntheta=shape[0], nphi=shape[1]
-        )[0]
+            alm=alm, spin=spin, lmax=N - 1, mmax=N - 1, geometry=code, ntheta=shape[0], nphi=shape[1], mode=mode
+        )
     return values
 
 
@@ -362,10 +374,26 @@ def grid_orientation(rows: Floats, columns: Floats) -> tuple[int, str, int]:
     tolerance = 1e-5
     expected = longitudes(len(columns), float(columns[::east][0]))
     if np.abs(columns[::east] - expected).max() > tolerance:
+        span = float(np.ptp(columns))
+        if abs(span - 2 * pi) <= tolerance:
+            raise ValueError(
+                "the first and the last longitude are the same meridian; omit the last one, such as by "
+                "isel(lon=slice(-1))"
+            )
+        if span + np.abs(np.diff(columns)).max() < 2 * pi - tolerance:
+            raise ValueError(
+                f"the longitudes span {np.degrees(span):.6g} degrees, a part of the sphere; give all of it"
+            )
         raise ValueError("the longitudes are not equally spaced over 2 pi; give one period without its end point")
     for points in GRIDS:
         if np.abs(rows[::north] - latitudes(points, len(rows))).max() <= tolerance:
             return north, points, east
+    first, last, step = rows.min(), rows.max(), np.abs(np.diff(rows)).max() + tolerance
+    if first > step - pi / 2 or last < pi / 2 - step:
+        raise ValueError(
+            f"the latitudes go from {np.degrees(first):.6g} to {np.degrees(last):.6g} degrees, a part of the sphere; "
+            "give all of it"
+        )
     raise ValueError(f"the latitudes match no known grid ({', '.join(GRIDS)}); interpolate to one of them")
 
 

@@ -46,8 +46,8 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") 
     if is_xarray(given):
         if units_of(given) not in WITHOUT_UNITS:
             raise ValueError(
-                f"topography has the units {units_of(given)}; give the height over the mean depth of the fluid, as "
-                "RotatingPlanet.without_units returns it from metres"
+                f"topography has the units {units_of(given)}; give the height divided by the mean depth of the fluid, "
+                "as RotatingPlanet.without_units returns it from metres"
             )
         values, first, second, _ = labelled_field(given, surface.surface, str(given.name or "topography"))
         if values.ndim != 2:
@@ -89,7 +89,7 @@ def _checked(values: Floats, modes: Complexes, surface: FluidSystem, quantity: s
     size = float(np.abs(values).max(initial=0.0))
     if quantity == "height" and size > 1.0:
         warn_caller(
-            f"topography reaches {size:g}; it is the height over the mean depth, and should be small", UserWarning
+            f"topography reaches {size:g}; it is the height divided by the mean depth, and should be small", UserWarning
         )
     mean = float(modes[0, 0].real) * surface.mean_factor
     if abs(mean) > MEAN_TOLERANCE * size:

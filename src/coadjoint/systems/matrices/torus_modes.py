@@ -90,6 +90,13 @@ def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     return np.asarray(np.fft.ifft2(folded).real * (shape[0] * shape[1]))
 
 
+def velocity_of(w: Complexes, shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return the components along x and y of the velocity of a stream function with modes w, (..., N, N), on a grid."""
+    n = representatives(w.shape[-1])
+    # u = -d psi/dy, v = d psi/dx
+    return values_of(1j * n[None, :] * w, shape), values_of(1j * n[:, None] * w, shape)
+
+
 def modes_of(values: Floats, N: int) -> Complexes:
     """Return w (..., N, N) of values (..., nx, ny), all modes that N and the grid resolve; w[0, 0] is the mean."""
     shape = values.shape[-2:]
