@@ -170,8 +170,12 @@ def test_every_force_acts_backward_or_is_refused_by_name(name):
     (force,), base = system.forces, co.IsospectralGauss(1) if system.has_matrices else co.Splitting()
     method = co.methods.even_order(base, 4)
     assert co.prepare(system, base, step=0.125).scheme.order == co.prepare(system, step=0.125).scheme.order == 2
-    if force.reversible:
+    if force.reversible or force.around_steps:  # whole steps, which are forward
         assert co.prepare(system, method, step=0.125).scheme.order == 4
+        if force.reversible:
+            return
+        with refused(ValueError, force.label, "backward"):
+            co.integrate(system, np.zeros(system.shape), (1.0, 0.0), 0.125, base)
         return
     for call in (
         lambda: co.prepare(system, method, step=0.125),

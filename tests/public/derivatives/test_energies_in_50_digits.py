@@ -197,7 +197,7 @@ PARAMETERS = {name: " ".join(list(inspect.signature(formula).parameters)[1:]) fo
     "maxwell_bloch": "coupling", "paper_a37": "masses", "paper_rigid_body": "masses",
     "riccati": "constant linear quadratic", "rigid_body": "inertia", "satellite_on_orbit": "inertia mean_motion",
     "sklyanin": "masses", "so_n_body": "inertia", "sphere_euler": "rotation",
-    "spin_lattice": "exchange tensor dm field on_site",
+    "sphere_qg": "lamb rotation gamma", "spin_lattice": "exchange tensor dm field on_site", "torus_qg": "gamma",
 }  # fmt: skip
 CASES = [(name, given, parameter) for name, given in VARIANTS for parameter in PARAMETERS.get(name, "").split()]
 SYMMETRIC = {"inertia", "mass", "on_site"}

@@ -162,6 +162,8 @@ def _read_hamiltonians(value: Any, what: str) -> tuple[Any, ...]:
     one = _is_object(value)
     if isinstance(value, Mapping) and value.keys() == {"real", "imaginary"}:  # the form of matrices in records
         value = read_finite(value["real"], what) + 1j * read_finite(value["imaginary"], what)
+    if hasattr(value, "to_numpy"):  # labels have no meaning here, and are refused
+        value = to_array(value, what, "iufc")
     if not one:
         try:
             entries = list(value)

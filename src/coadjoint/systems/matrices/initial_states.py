@@ -217,7 +217,7 @@ def from_file(
     """
     values = read_field(path, self.surface, variable, select)
     if planet is not None and not is_xarray(values):
-        raise ValueError(f"{short(str(path))} has no units; omit planet")
+        raise ValueError(f"{Path(path).name} has no units; omit planet")
     if np.iscomplexobj(values):
         return self.algebra.read(values, short(str(path)))
     if is_xarray(values):
