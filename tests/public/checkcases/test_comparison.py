@@ -233,7 +233,7 @@ def test_two_mistakes_are_found():
     assert len(found.diagnosis) == 2
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("factor", [1.0, 1e-3, 50.0])
 def test_an_unknown_difference_is_no_known_mistake(factor):
     """Rates of an unrelated motion, small ones too, are not degrees, nor another order of the axes."""
