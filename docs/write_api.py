@@ -20,6 +20,7 @@ from coadjoint.analysis.certificates.certificate import Row
 from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
+from coadjoint.systems.lattices import crystals
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
@@ -53,8 +54,8 @@ MEMBERS_OF = (
         "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
-    ("A crystal", co.spins.Crystal, "bonds subcrystal"),
-    ("A bond of a crystal", co.spins.Bond, "exchange"),
+    ("A crystal", crystals.Crystal, "bonds subcrystal"),
+    ("A bond of a crystal", crystals.Bond, "exchange"),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.read import crystal
-from coadjoint.systems.lattices.crystals import Bond, Bonds, Crystal
 
-__all__ = ["Bond", "Bonds", "Crystal", "crystal"]
+__all__ = ["crystal"]
 
 TYPE_CHECKING = False
 

@@ -153,6 +153,7 @@ OWN = {
     "co.spectra.structure_factor": {"solution": WAVES},
     "co.bodies.MassProperties": {"mass": 1.0, "inertia": (1.0, 2.0, 2.5)},
     "co.bodies.read": {"path": ROBOT},
+    "co.spins.crystal": {"lattice": (1.0, 1.0, 1.0, 90.0, 90.0, 90.0), "sites": {"Fe": (0.0, 0.0, 0.0)}},
     "MassProperties.about": {"point": X},
     "co.certify": {"steps": 4},
     "co.export_c": {"prepared": READY, "path": ARCHIVE.with_name("run.h")},

@@ -141,9 +141,10 @@ def starts(s, degree, members, rng):
     return W / np.linalg.norm(W, axis=(1, 2))[:, None, None]
 
 
-def test_the_mean_of_a_degree_decays_and_the_error_of_a_step_is_of_second_order():
+@pytest.mark.parametrize("N", [6, pytest.param(16, marks=pytest.mark.long)])
+def test_the_mean_of_a_degree_decays_and_the_error_of_a_step_is_of_second_order(N):
     """In one step, with a decay of exp(-3), an error is seen; in two it is less than a third of that, and of noise."""
-    N, sigma, members = 6, 2.0, 8000
+    sigma, members = np.sqrt(6.0 / decay(N, 2, 2)), 8000
     s, rng = co.systems.sphere_euler(N), np.random.default_rng(1)
     parts = {l: starts(s, l, members, rng) for l in (1, 2, 3)}
     errors = {}
