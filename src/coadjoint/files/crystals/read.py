@@ -99,10 +99,11 @@ def crystal(
     if tol > 0.05:
         raise ValueError(f"tolerance is {tol:.6g}; give at most 0.05 of the shortest lattice vector")
     if path is not None:
+        file = read_path(path, "path")
         for name, value in (("lattice", lattice), ("sites", sites)):
             if value is not None:
-                raise ValueError(f"{name} was given beside the file {short(str(path))}, which has it; give one of them")
-        return _crystal_of_file(read_path(path, "path"), space_group, tol)
+                raise ValueError(f"{name} was given beside the file {short(str(file))}, which has it; give one of them")
+        return _crystal_of_file(file, space_group, tol)
     if lattice is None or sites is None:
         raise ValueError("a crystal needs a file, or lattice= and sites=; give crystal('FeI2.cif'), or both of them")
     vectors = lattice_of(lattice, "lattice")
