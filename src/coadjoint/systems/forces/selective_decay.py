@@ -57,7 +57,7 @@ class SelectiveDecay(Force):
 
     Its flow is the implicit midpoint rule, of order 2, symmetric, solved to round-off by Newton's method: quadratic
     energies, such as those of fluids and bodies, are preserved to round-off (others to order 2), and the enstrophy
-    decreases, for every step that can be solved. This is so if ``rate h |P|^2`` is below about one, with |P| the
+    decreases, for every step that can be solved. This is so if ``rate h |P|^2`` is below about one, with ``|P|`` the
     largest eigenvalue, and for larger ones near a steady flow. Backward in time it is an anti-diffusion, which is
     refused.
 
