@@ -183,6 +183,17 @@ class Force(Abstract):
         for name, read in readers.items():
             set_fields(self, **{name: read(getattr(self, name), f"{name} of {type(self).__name__}")})
 
+    def _require_seed(self) -> None:
+        """Raise TypeError if the seed of a noise is not given."""
+        if getattr(self, "seed", None) is None:
+            name = type(self).__name__
+            raise TypeError(f"{name} needs a seed, a whole number: runs with the same seed have the same noise")
+
+    def _check_forward(self, tau: Any) -> None:
+        """Raise ValueError if a noise is asked for a time backward."""
+        if tau < 0.0 and not self.reversible:
+            raise ValueError(f"{self.label} is a noise, which does not run backward")
+
     @abstractmethod
     def check(self, system: Any) -> None:
         """Raise an error if the force cannot act on a system.

@@ -330,8 +330,7 @@ class HeatBath(DoubleBracketDamping):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.seed is None:
-            raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
+        self._require_seed()
         self._read(temperature=read_nonnegatives, seed=read_seed, stream=read_seed)
 
     def check(self, system: Any) -> None:
@@ -399,8 +398,7 @@ class HeatBath(DoubleBracketDamping):
         return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self._metric_on(system)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if tau < 0.0 and not self.reversible:
-            raise ValueError(f"{self.label} is a noise, which does not run backward")
+        self._check_forward(tau)
         x = self._apply_noise(system, x, float(t), float(tau), 0)
         return self._apply_noise(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 

@@ -305,8 +305,7 @@ class RandomForcing(Force):
         return numbers, [np.sqrt(2.0 * self.energy_rate / components / energy) for energy in energies]
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if tau < 0.0:
-            raise ValueError("RandomForcing is a noise, which does not run backward")
+        self._check_forward(tau)
         modes = modes_of(system, self.label)
         numbers, amplitudes = self._selected_modes(system, modes)
         deviates = normal_deviates(self.seed, self.stream, float(t), 0, 2 * sum(map(len, numbers)))

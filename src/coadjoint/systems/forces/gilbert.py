@@ -90,10 +90,10 @@ class Gilbert(HeatBath):
         self._read(alpha=read_nonnegatives, temperature=read_nonnegatives, stream=read_seed)
         is_random = bool(np.any(self.temperature))
         set_fields(self, random=is_random, reversible=not is_random)
+        if is_random:
+            self._require_seed()
         if self.seed is not None:
             self._read(seed=read_seed)
-        elif is_random:
-            raise TypeError("Gilbert needs a seed, a whole number: runs with the same seed have the same noise")
 
     def check(self, system: Any) -> None:
         spins = _spins_of(system)

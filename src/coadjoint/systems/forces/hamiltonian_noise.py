@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import labelled
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
@@ -162,7 +163,7 @@ def _read_hamiltonians(value: Any, what: str) -> tuple[Any, ...]:
     one = _is_object(value)
     if isinstance(value, Mapping) and value.keys() == {"real", "imaginary"}:  # the form of matrices in records
         value = read_finite(value["real"], what) + 1j * read_finite(value["imaginary"], what)
-    if hasattr(value, "to_numpy"):  # labels have no meaning here, and are refused
+    if labelled(value) is not None:  # labels have no meaning here, and are refused
         value = to_array(value, what, "iufc")
     if not one:
         try:

@@ -100,8 +100,7 @@ class Langevin(Force):
     random: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.seed is None:
-            raise TypeError("Langevin needs a seed, a whole number: runs with the same seed have the same noise")
+        self._require_seed()
         self._read(rate=_read_rates, temperature=read_nonnegatives, seed=read_seed, stream=read_seed)
 
     def check(self, system: Any) -> None:
@@ -167,8 +166,7 @@ class Langevin(Force):
         return ThermalNoise(*entries, self.seed, self.stream)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if tau < 0.0:
-            raise ValueError("Langevin is a noise, which does not run backward")
+        self._check_forward(tau)
         rates, noise = self._rates(system), self._noise(system)
         y = x + np.expm1(-tau * rates) * x
         if noise is None:

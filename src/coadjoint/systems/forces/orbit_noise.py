@@ -104,9 +104,7 @@ class OrbitNoise(Force):
 
     def _read_numbers(self) -> None:
         """Validate the numbers of the noise."""
-        if self.seed is None:
-            name = type(self).__name__
-            raise TypeError(f"{name} needs a seed, a whole number: runs with the same seed have the same noise")
+        self._require_seed()
         self._read(seed=read_seed, stream=read_seed)
         self._read(levels=lambda value, what: read_integer(value, what, 0, MAX_LEVELS))
 
@@ -204,14 +202,12 @@ class OrbitNoise(Force):
 
     def _unitaries(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[NDArray[Any]]:
         """Yield what conjugates matrices on a side of a step."""
-        if tau < 0.0:
-            raise ValueError(f"{type(self).__name__} is a noise, which does not run backward")
+        self._check_forward(tau)
         yield from self.on_matrices(system).unitaries(system, self, float(t), float(tau), side)
 
     def _flows(self, system: Any, t: Any, tau: Any, side: int) -> Iterator[tuple[NoiseTerm | None, Any]]:
         """Yield the flows of a side of a step: all noise, or none."""
-        if tau < 0.0:
-            raise ValueError(f"{type(self).__name__} is a noise, which does not run backward")
+        self._check_forward(tau)
         found = self.terms(system)
         increments, first = self.increments(len(found.terms), float(t), float(tau))
         if first == (side == 0):

@@ -87,8 +87,7 @@ class RandomTorque(Force):
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if self.seed is None:
-            raise TypeError("RandomTorque needs a seed, a whole number: runs with the same seed have the same noise")
+        self._require_seed()
         self._read(strength=read_matrix, seed=read_seed, stream=read_seed)
         read_choice(self.axes, "axes of RandomTorque", AXES)
         shape = np.shape(self.strength)
@@ -118,8 +117,7 @@ class RandomTorque(Force):
         raise TypeError("RandomTorque is a noise, which has no field; its mean is zero")
 
     def _changes(self, system: Any, t: Any, tau: Any) -> tuple[Kicks, NDArray[np.float64]]:
-        if tau < 0.0:
-            raise ValueError("RandomTorque is a noise, which does not run backward")
+        self._check_forward(tau)
         kicks = self.kicks(system)
         drawn = normal_deviates(self.seed, self.stream, float(t), 0, kicks.motions)
         return kicks, kicks.factor * (np.sqrt(float(tau)) * drawn)[kicks.number]
