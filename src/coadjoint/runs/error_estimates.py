@@ -199,6 +199,11 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None
     if most >= count:
         t, state = measured.points[0][0], measured.start[m : m + 1]
     steps, one = int(min(most, count)), measured.of_member(m)
+    # Forces of tables and orbits may be known no longer than the run lasts: the part ends within it.
+    end = measured.solution.asked_span[1] - steps * h
+    if (t - end) * h > 0.0:
+        t, states, _ = max((p for p in measured.points if p[2][m] and (p[0] - end) * h <= 0.0), key=lambda p: p[0] * h)
+        state = states[m : m + 1]
     every = max(1, steps // COMPARED)
     path, finer = (
         measured.scaled(trial_states(one, state, Times(t, h / k, k * steps, k * every))[:, 0], m) for k in (1, 2)

@@ -315,3 +315,17 @@ def test_a_slow_ramp_of_a_controlled_attitude_is_not_warned_of(rate, h, forward)
         for k in (1, 4)
     ]
     assert np.abs(ends[0] - ends[1])[3:].max() < 1e-4 * 200 * rate  # of the angle that it turns by
+
+
+@pytest.mark.parametrize(("h", "warns"), [(0.1, True), (0.05, False)])
+def test_a_law_that_is_known_in_the_run_alone_is_judged_in_it(h, warns):
+    last = 150.0 + 1e-9
+
+    def growing(t):
+        return np.array([0.003 * t, 0.0, 0.01 * t]) if t <= last else np.full(3, np.nan)
+
+    system = co.systems.rigid_body((1.0, 2.0, 3.0)).with_forces(co.forces.Torque(growing))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        co.integrate(system, (0.1, 0.2, 1.0), (0.0, 150.0), h, co.Splitting(order=2))
+    assert [one.category for one in caught] == [co.LargeStepWarning] * warns
