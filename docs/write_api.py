@@ -17,6 +17,7 @@ from typing import Any
 import coadjoint as co
 from coadjoint import commands
 from coadjoint.analysis.certificates.certificate import Row
+from coadjoint.files import ovf
 from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
@@ -56,6 +57,7 @@ MEMBERS_OF = (
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
     ("A crystal", crystals.Crystal, "bonds subcrystal"),
     ("A bond of a crystal", crystals.Bond, "exchange"),
+    ("A field of vectors in a file", ovf.OvfField, "spins"),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",

@@ -1,11 +1,12 @@
-"""Crystals of spins: sites, bonds and exchange by symmetry (``co.spins``)."""
+"""Crystals of spins, and files of spins (``co.spins``): sites, bonds, exchange by symmetry; OVF of micromagnetics."""
 
 from __future__ import annotations
 
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.read import crystal
+from coadjoint.files.ovf import read_ovf, write_ovf
 
-__all__ = ["crystal"]
+__all__ = ["crystal", "read_ovf", "write_ovf"]
 
 TYPE_CHECKING = False
 

@@ -50,6 +50,9 @@ ORBIT = co.orbits.circular(7e6, epoch="2024-01-01", frame="J2000")
 LOG = co.attitudes.AttitudeLog([0.0, 1.0], np.stack([EYE, EYE]))
 LOGGED, EPHEMERIS = pathlib.Path(FOLDER.name, "log.csv"), pathlib.Path(FOLDER.name, "orbit.oem")
 co.attitudes.write(LOGGED, LOG)
+OVF = LOGGED.with_name("field.ovf")
+SPINS = {"spins": np.tile((0.6, 0.0, 0.8), 4), "shape": (2, 2), "cell": (1e-9, 1e-9, 1e-9)}
+co.spins.write_ovf(OVF, **SPINS)
 EPHEMERIS.write_text(
     "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2024-01-01T00:00:00\nORIGINATOR = ME\nMETA_START\nOBJECT_NAME = A\n"
     "OBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = EME2000\nTIME_SYSTEM = UTC\nSTART_TIME = 2024-01-01T00:00:00\n"
@@ -177,6 +180,8 @@ OWN = {
     "co.methods.get": {"name": "Taylor"},
     "co.attitudes.AttitudeLog": {"t": [0.0, 1.0], "rotation": [EYE, EYE]},
     "co.attitudes.read": {"path": LOGGED},
+    "co.spins.read_ovf": {"path": OVF},
+    "co.spins.write_ovf": {"path": OVF, **SPINS},
     "co.attitudes.write": {"path": LOGGED.with_name("other.tum"), "log": LOG},
     "co.orbits.Orbit": {"position": ORBIT.position, "velocity": ORBIT.velocity},
     "co.orbits.Planet": {"mu": 1.0},

@@ -42,6 +42,7 @@ TEXTS = (".json",)
 PAGES = (".html",)
 HEADERS = (".h", ".hpp")
 LOGS = (".csv", ".tum", ".aem", ".tsc")
+OVFS = (".ovf", ".omf")
 GIF_WHITE_THRESHOLD = 248
 """In a GIF, shades from here on become white."""
 MAX_GIF_FPS = 50
@@ -56,7 +57,7 @@ REQUIRED_PACKAGES = {
     ".json": (),
     ".csv": (),
     ".html": (),
-    **dict.fromkeys((*HEADERS, *LOGS), ()),
+    **dict.fromkeys((*HEADERS, *LOGS, *OVFS), ()),
     ".bc": ("spiceypy",),
 }
 FORMAT_NAMES = {
@@ -67,6 +68,7 @@ FORMAT_NAMES = {
     ".html": "a page",
     **dict.fromkeys(HEADERS, "a header"),
     **dict.fromkeys(LOGS, "a log of attitudes"),
+    **dict.fromkeys(OVFS, "a vector field"),
     ".bc": "a C-kernel of SPICE",
     **dict.fromkeys(FIGURES, "a figure"),
     **dict.fromkeys(MOVIES, "a movie"),
