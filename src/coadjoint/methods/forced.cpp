@@ -4,11 +4,11 @@
 #include <cstring>
 #include <memory>
 
-#include "forces/force.hpp"
+#include "forces/force_lanes.hpp"
 #include "matrices/compiled_transforms.hpp"
 #include "matrices/invariants.hpp"
-#include "steps/inner_step.hpp"
-#include "steps/member_batches.hpp"
+#include "steps/inner_lanes.hpp"
+#include "steps/step_scheme.hpp"
 
 namespace coadjoint {
 
@@ -19,12 +19,14 @@ struct Substep {
     int64_t loop;
 };
 
-struct Forced final : BatchScheme {
+struct Forced final : StepScheme {
     const StepTables& tables;
     const MemberConstants constants;
     const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, tracked;
-    std::vector<std::unique_ptr<InnerStep>> inner, batched;  // one for each length; of many members
+    // One of both for each length: programs of states that are not large, without a group element, and other loops.
+    std::vector<std::unique_ptr<FinishedStep<double>>> programs;
+    std::vector<std::unique_ptr<InnerStep>> inner;
     std::vector<Substep> substeps;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
@@ -40,8 +42,11 @@ struct Forced final : BatchScheme {
           values(tracked), before(tracked), arguments(tables.restored.longest + 1),
           workspace(2 * tables.restored.longest + 2) {
         const int64_t *other = other_loops(tables.whole), *one = other + 1 + ADDRESSES * other[0];
-        for (int64_t k = 0; k <= other[0]; ++k)
-            inner.emplace_back(new InnerStep(inner_loop(k), n, tables.group.size * tables.group.size));
+        for (int64_t k = 0; k <= other[0]; ++k) {
+            const int64_t square = tables.group.size * tables.group.size;
+            programs.push_back(square || n > WIDEST ? nullptr : FinishedStep<double>::of(inner_loop(k), n));
+            inner.emplace_back(programs.back() ? nullptr : new InnerStep(inner_loop(k), n, square));
+        }
         double elapsed = 0.0;
         for (int64_t k = 0; k < one[0]; ++k) {
             Substep substep{elapsed, 0.0, one[2 + 2 * k]};
@@ -85,15 +90,24 @@ struct Forced final : BatchScheme {
 
     // A substep of the step from t of length h, at the `ends` of which forces act that act around steps.
     int64_t take(const Substep& one, double* x, double* dx, double* group, double t, double h, const bool* ends) {
-        InnerStep& inner = *this->inner[one.loop];
         if (const int64_t status = move_all(one, 0, x, dx, group, t, h, ends[0])) return status;
-        const int64_t status =
-            inner.take(x, group, t + one.begin * h, one.length * h, memory_size ? memory : nullptr);
+        if (const int64_t status = take_inner(one, x, group, t + one.begin * h, one.length * h)) return status;
+        return move_all(one, 1, x, dx, group, t, h, ends[1]);
+    }
+
+    int64_t take_inner(const Substep& one, double* x, double* group, double t, double h) {
+        if (FinishedStep<double>* const program = programs[one.loop].get()) {
+            program->take(x, t, h, true);
+            evaluations += int64_t(program->evaluations);
+            residual = std::numeric_limits<double>::quiet_NaN();
+            return int64_t(program->status);
+        }
+        InnerStep& inner = *this->inner[one.loop];
+        const int64_t status = inner.take(x, group, t, h, memory_size ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;
-        if (status != DONE) return status;
-        return move_all(one, 1, x, dx, group, t, h, ends[1]);
+        return status;
     }
 
     // Apply the flows of all forces before (side 0) or after (1) a substep; at an end of the step also those around it.
@@ -114,42 +128,7 @@ struct Forced final : BatchScheme {
         return DONE;
     }
 
-    bool takes_batches() const override { return !matrices && !memory_size && !tables.group.size; }
-
-    void step_batch(BatchMember* members, int64_t count, double t, double h) override {
-        if (batched.empty())
-            for (int64_t k = 0; k <= other_loops(tables.whole)[0]; ++k)
-                batched.emplace_back(new InnerStep(inner_loop(k), n, 0, MOST_MEMBERS));
-        for (int64_t b = 0; b < count; ++b) members[b].evaluations = members[b].iterations = 0;
-        const auto move_members = [&](const Substep& one, int64_t side, bool end) {
-            for (BatchMember* to = members; to < members + count; ++to) {
-                if (to->status != DONE) continue;
-                member = to->number;
-                evaluations = iterations = 0;
-                to->status = move_all(one, side, to->x, to->dx, nullptr, t, h, end);
-                to->evaluations += evaluations;
-                to->iterations += iterations;
-                to->residual = residual;
-            }
-        };
-        for (const Substep& one : substeps) {
-            move_members(one, 0, &one == &substeps.front());
-            double* states[MOST_MEMBERS];
-            int64_t status[MOST_MEMBERS], moving = 0;
-            for (int64_t b = 0; b < count; ++b)
-                if (members[b].status == DONE) states[moving++] = members[b].x;
-            InnerStep& inner = *batched[one.loop];
-            if (moving) inner.take_all(states, moving, t + one.begin * h, one.length * h, status);
-            for (int64_t b = 0, position = 0; b < count; ++b) {
-                if (members[b].status != DONE) continue;
-                members[b].status = status[position];
-                members[b].evaluations += inner.evaluations_of(position);
-                members[b].iterations += inner.iterations_of(position);
-                members[b].residual = inner.residual_of(position++);
-            }
-            move_members(one, 1, &one == &substeps.back());
-        }
-    }
+    std::unique_ptr<WideStep> wide_step() override;
 
     double value(int64_t i, const double* x, double t) {
         return value_of(tables.restored, constants, i, x, t, arguments.data(), workspace.data());
@@ -193,6 +172,126 @@ struct Forced final : BatchScheme {
         two_sum(old, dx[position] + change, x[position], dx[position]);
     }
 };
+
+// The same step of members as lanes, without group elements and memories.
+struct ForcedLanes final : WideStep {
+    typedef Numbers<A>::Mask Mask;
+    Forced& alone;
+    const StepTables& tables;
+    const int64_t n, tracked;
+    std::vector<std::unique_ptr<InnerLanes>> inner;
+    std::vector<std::unique_ptr<ForceLanes>> forces;
+    AlignedArray<A> values, arguments;
+    std::vector<double> workspace;
+    std::vector<bool> known;  // which of the values are those of the state now
+    Mask moving;
+    A statuses, evaluated, iterated, residuals;
+
+    explicit ForcedLanes(Forced& alone)
+        : alone(alone), tables(alone.tables), n(alone.n), tracked(alone.tracked), values(tracked),
+          arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2), known(tracked) {
+        for (size_t k = 0; k < alone.inner.size(); ++k) inner.emplace_back(new InnerLanes(alone.inner_loop(k), n));
+        for (const auto& force : alone.forces) forces.emplace_back(new ForceLanes(*force, tables.group, number));
+        work = lanes * alone.work;
+    }
+
+    void step(A* x, A* dx, const A& t, const A& h, const int64_t* active) override {
+        for (int k = 0; k < A::count; ++k) {
+            A::Bits some;
+            std::memcpy(&some, active + k * A::width, sizeof(some));
+            moving.part[k] = some != 0;
+        }
+        statuses = evaluated = iterated = A(0.0);
+        residuals = A(std::numeric_limits<double>::quiet_NaN());
+        take_all(x, dx, t[0], h[0]);
+        store(residual, residuals);
+        store_whole(status, statuses);
+        store_whole(evaluations, evaluated);
+        store_whole(iterations, iterated);
+    }
+
+    static void store_whole(int64_t* to, const A& from) {
+        for (int k = 0; k < A::count; ++k) {
+            const auto whole = __builtin_convertvector(from.part[k], A::Bits);
+            std::memcpy(to + k * A::width, &whole, sizeof(whole));
+        }
+    }
+
+    void take_all(A* x, A* dx, double t, double h) {
+        for (const auto& force : forces) force->begin(t, h);
+        for (const Substep& one : alone.substeps) {
+            move_all(one, 0, x, dx, t, h, &one == &alone.substeps.front());
+            InnerLanes& inner = *this->inner[one.loop];
+            inner.take(x, t + one.begin * h, one.length * h, moving);
+            count(inner, moving);
+            move_all(one, 1, x, dx, t, h, &one == &alone.substeps.back());
+        }
+    }
+
+    // Count what a part of the step has computed for some members, and stop those that it has failed.
+    template <class Part>
+    void count(const Part& part, const Mask& where) {
+        evaluated = select(where, evaluated + part.evaluations, evaluated);
+        iterated = select(where, iterated + part.iterations, iterated);
+        residuals = select(where, part.residual, residuals);
+        const Mask done = part.status == A(double(DONE));
+        if (__builtin_expect(all(done), 1)) return;
+        statuses = select(where, part.status, statuses);
+        moving = moving & (done | !where);
+    }
+
+    void move_all(const Substep& one, int64_t side, A* x, A* dx, double t, double h, bool end) {
+        const double begin = t + one.begin * h, length = one.length * h, half = 0.5 * length;
+        const double frozen = side ? begin + length : begin;
+        known.assign(tracked, false);
+        for (size_t k = 0; k < forces.size() && any(moving); ++k) {
+            const size_t position = side ? forces.size() - 1 - k : k;
+            if (!forces[position]->around_steps())
+                move(position, x, dx, side ? begin + half : begin, half, frozen, side, moving);
+            else if (const Mask acting = moving & forces[position]->acts(side); end && any(acting))
+                move(position, x, dx, t, h, frozen, side, acting);
+        }
+    }
+
+    // Apply the flow of a force to the members for which it is `acting`, and add its work.
+    void move(size_t position, A* x, A* dx, double t, double tau, double frozen, int64_t side, Mask acting) {
+        ForceLanes& force = *forces[position];
+        const ForceTable& table = alone.forces[position]->table;
+        const int64_t changing = alone.measured ? 0 : std::min(tracked, table.work_integrals);
+        for (int64_t i = 0; i < changing; ++i)
+            if (!known[i]) values.at[i] = value(i, x, frozen);
+        force.flow(x, t, tau, side, acting);
+        count(force, acting);
+        acting = acting & moving;
+        if (alone.measured && table.work_integrals) add(x, dx, table.work_integral, force.change, acting);
+        for (int64_t i = 0; i < tracked; ++i) {
+            if (!(known[i] = i < changing)) continue;
+            const A before = values.at[i], now = value(i, x, frozen);
+            A change = now - before;
+            values.at[i] = now;
+            if (const double period = alone.constants.number_at<double>(tables.restored.period, i); period > 0.0)
+                for (int lane = 0; lane < lanes; ++lane)
+                    change.set(lane, unwrapped(now[lane], before[lane], period) - before[lane]);
+            add(x, dx, table.work_integral + i, change, acting & (change - change == A(0.0)));
+        }
+    }
+
+    A value(int64_t i, const A* x, double t) {
+        return value_of(tables.restored, SharedConstants{}, i, x, A(t), arguments.at, workspace.data());
+    }
+
+    void add(A* x, A* dx, int64_t work_integral, const A& change, const Mask& where) {
+        A &old = x[n + work_integral], &error = dx[n + work_integral], sum, remainder;
+        two_sum(old, error + change, sum, remainder);
+        old = select(where, sum, old);
+        error = select(where, remainder, error);
+    }
+};
+
+std::unique_ptr<WideStep> Forced::wide_step() {
+    if (matrices || tables.group.size || constants.stride != 1) return nullptr;
+    return std::make_unique<ForcedLanes>(*this);
+}
 
 }  // namespace
 

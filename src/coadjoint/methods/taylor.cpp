@@ -35,7 +35,7 @@ struct TaylorLanes final : LaneStep {
     void read(int lane, const double* memory) override { projection.read(lane, memory); }
     void write(int lane, double* memory) const override { projection.write(lane, memory); }
 
-    void step(A* x, A* dx, const A& h, const int64_t* active) override {
+    void step(A* x, A* dx, const A&, const A& h, const int64_t* active) override {
         A selected(0.0);
         for (int lane = 0; lane < NATIVE; ++lane)
             if (active[lane]) set_lane(selected, lane, 1.0);

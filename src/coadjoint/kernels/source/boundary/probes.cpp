@@ -30,7 +30,7 @@ EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, do
 
 // A block of the generator; the normal deviate of each word; the deviates of a member from a time on.
 EXPORT void probe_philox(const uint64_t* counter, uint64_t key, uint64_t other, uint64_t* out) {
-    const Words words = philox({{counter[0], counter[1], counter[2], counter[3]}}, key, other);
+    const auto words = philox<uint64_t>({{counter[0], counter[1], counter[2], counter[3]}}, key, other);
     for (int k = 0; k < 4; ++k) out[k] = words.at[k];
 }
 EXPORT void probe_normal(const uint64_t* words, int64_t count, double* out) {

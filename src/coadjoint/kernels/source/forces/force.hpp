@@ -7,7 +7,7 @@
 #include "forces/hamiltonian_noise.hpp"
 #include "forces/matrix_force.hpp"
 #include "forces/mode_force.hpp"
-#include "forces/orbit_exponential.hpp"
+#include "forces/orbit_bath.hpp"
 #include "forces/random.hpp"
 #include "forces/selective_decay.hpp"
 #include "forces/spin_bath.hpp"
@@ -23,16 +23,20 @@ class Force {
     double residual = 0.0;
 
     Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
-        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponent(field, group, constants),
+        : table(table), field(field), constants(constants), n(field.size), workspace(field),
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
           three(n), four(n), five(n), six(n), matrix(matrix_force(table)) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
         if (table.kind == SELECTIVE_DECAY) decay = selective_decay(table, field, constants);
         if (table.kind == ON_ORBIT) {
             spins.reset(new SpinBath(table, field, constants));
-            if (!*spins) spins.reset();
+            if (*spins) return;
+            spins.reset();
+            orbit.reset(new OrbitBath<double>(table, field, group, constants));
         }
-        if (table.kind == HAMILTONIAN_NOISE) noise.reset(new HamiltonianNoise(table, field, group, constants));
+        if (table.kind != HAMILTONIAN_NOISE) return;
+        noise.reset(new HamiltonianNoise<double>(table, field, group, constants));
+        increments.reset(new BrownianIncrements(table, table.position, table.extent, 0));
     }
 
     // Whether it acts before (side 0) or after (side 1) a whole step, and not in substeps.
@@ -40,7 +44,7 @@ class Force {
 
     // Whether it acts on this side of the step from t of length h.
     bool acts(double t, double h, int64_t member, int64_t side) {
-        return noise ? noise->acts(t, h, member, side) : matrix->acts(t, h, member, side);
+        return noise ? increments->of(t, h, member).first == (side == 0) : matrix->acts(t, h, member, side);
     }
 
     // Apply the flow to x from time t for the time tau, negative for backward; return a status. A flow around a step also
@@ -49,9 +53,9 @@ class Force {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
         switch (table.kind) {
-            case DAMPING: return damp(x, tau), table.amplitude > 0.0 ? agitate(x, t, tau, member) : DONE;
-            case CONSTANT: return push(x, tau);
-            case OF_TIME: return push_by_time(x, t, tau);
+            case DAMPING: return damp(x, one.data(), tau), table.amplitude > 0.0 ? agitate(x, t, tau, member) : DONE;
+            case CONSTANT: return push(x, tau, table.aim), DONE;
+            case OF_TIME: return push(x, tau, mean_torque(t, tau)), defined(x);
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
             case HAMILTONIAN_NOISE: return shake_by(x, element, t, tau, member, side);
@@ -71,17 +75,19 @@ class Force {
     double change() const { return spins->change; }
 
   private:
+    friend class ForceLanes;
     const Field& field;
     const MemberConstants constants;
     const int64_t n;
     FieldWorkspace<double> workspace;
-    OrbitExponential exponent;
     std::vector<double> one, two, three, four, five, six, expm1, spread;
     // The times for which `expm1` and `spread` are computed.
     double prepared_for = std::numeric_limits<double>::quiet_NaN(), spread_for = prepared_for;
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
-    std::unique_ptr<HamiltonianNoise> noise;
+    std::unique_ptr<OrbitBath<double>> orbit;
+    std::unique_ptr<HamiltonianNoise<double>> noise;
+    std::unique_ptr<BrownianIncrements> increments;
     const std::unique_ptr<MatrixForce> matrix;
     std::unique_ptr<SelectiveDecay> decay;
 
@@ -92,19 +98,19 @@ class Force {
     }
 
     // x' = -R (x - aim): x + (exp(-R tau) - 1) (x - aim).
-    int64_t damp(double* x, double tau) {
+    template <class A>
+    void damp(A* x, A* from, double tau) {
         if (prepared_for != tau) prepare(tau);
-        for (int64_t i = 0; i < n; ++i) one[i] = x[i] - table.aim[i];
+        for (int64_t i = 0; i < n; ++i) from[i] = x[i] - A(table.aim[i]);
         for (int64_t i = 0; i < n; ++i) {
             if (table.shape == FULL) {
-                double sum = 0.0;
-                for (int64_t j = 0; j < n; ++j) sum = fma(expm1[i * n + j], one[j], sum);
+                A sum(0.0);
+                for (int64_t j = 0; j < n; ++j) sum = fma(A(expm1[i * n + j]), from[j], sum);
                 x[i] += sum;
             } else {
-                x[i] = fma(expm1[table.shape == DIAGONAL ? i : 0], one[i], x[i]);
+                x[i] = fma(A(expm1[table.shape == DIAGONAL ? i : 0]), from[i], x[i]);
             }
         }
-        return DONE;
     }
 
     void prepare(double tau) {
@@ -142,20 +148,25 @@ class Force {
     // covariance (1 - exp(-2 R tau)) C with a root of C, `basis`, whose row i has the columns `direction` from begin[i] to
     // begin[i + 1] - 1. R is diagonal and commutes with C.
     int64_t agitate(double* x, double t, double tau, int64_t member) {
+        InterruptCheck::of_this_call().after(64 * n);
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(n, three.data());
+        spread_out(x, three.data(), tau);
+        return finite(n, x) ? DONE : OVERFLOWED;
+    }
+
+    template <class A>
+    void spread_out(A* x, const A* deviates, double tau) {
         if (spread_for != tau) {
             spread_for = tau;
             spread.resize(n);
             for (int64_t i = 0; i < n; ++i) spread[i] = std::sqrt(-growth_by(-2.0 * table.rate[i] * tau).expm1);
         }
-        InterruptCheck::of_this_call().after(64 * n);
-        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(n, three.data());
         for (int64_t i = 0; i < n; ++i) {
-            double sum = 0.0;
+            A sum(0.0);
             for (int64_t e = table.begin[i]; e < table.begin[i + 1]; ++e)
-                sum = fma(table.basis[e], three[table.direction[e]], sum);
-            x[i] = fma(spread[i], sum, x[i]);
+                sum = fma(A(table.basis[e]), deviates[table.direction[e]], sum);
+            x[i] = fma(A(spread[i]), sum, x[i]);
         }
-        return finite(n, x) ? DONE : OVERFLOWED;
     }
 
     void multiply(const std::vector<double>& A, const std::vector<double>& B, double factor, std::vector<double>& out) {
@@ -169,24 +180,23 @@ class Force {
         }
     }
 
-    int64_t push(double* x, double tau) {
-        for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, table.aim[i], x[i]);
-        return DONE;
+    template <class A>
+    void push(A* x, double tau, const double* torque) const {
+        for (int64_t i = 0; i < n; ++i) x[i] = fma(A(tau), A(torque[i]), x[i]);
     }
 
-    // The integral of a function of time by Gauss quadrature with five points, exact up to degree nine.
-    int64_t push_by_time(double* x, double t, double tau) {
+    // The mean of a function of time by Gauss quadrature with five points, exact up to degree nine. It takes no state.
+    const double* mean_torque(double t, double tau) {
         constexpr double FAR = 0.90617984593866399280, NEAR = 0.53846931010568309104;
         constexpr double NODE[] = {-FAR, -NEAR, 0.0, NEAR, FAR};
         constexpr double OUTER = 0.23692688505618908751, INNER = 0.47862867049936646804;
         constexpr double WEIGHT[] = {OUTER, INNER, 0.56888888888888888889, INNER, OUTER};
         std::fill_n(two.data(), n, 0.0);
         for (int k = 0; k < 5; ++k) {
-            call_at(x, fma(0.5 * tau, 1.0 + NODE[k], t), one.data());
+            call_at(three.data(), fma(0.5 * tau, 1.0 + NODE[k], t), one.data());
             for (int64_t i = 0; i < n; ++i) two[i] = fma(0.5 * WEIGHT[k], one[i], two[i]);
         }
-        for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, two[i], x[i]);
-        return defined(x);
+        return two.data();
     }
 
     // A step of the classical Runge-Kutta method, whose local error is of fifth order in tau, or of higher order.
@@ -251,36 +261,40 @@ class Force {
 
     int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
 
-    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All maps are
-    // exponentials, so every Casimir is preserved, even if an iteration ends early.
     int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
-        const bool random = table.amplitude > 0.0;
-        if (random && !shake(x, t, tau, 0, member)) return exponent.failed(two.data());
-        const int64_t status = settle(x, t, tau);
-        if (status != DONE) return status;
-        return !random || shake(x, t, tau, 1, member) ? DONE : exponent.failed(two.data());
+        const double status = orbit->flow(x, t, tau, true, [&](int half, double* deviates) {
+            DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)).fill(n, deviates);
+        });
+        evaluations = int64_t(orbit->exponential.evaluations);
+        iterations = int64_t(orbit->exponential.iterations);
+        residual = orbit->exponential.residual;
+        return int64_t(status);
     }
 
     // Additive noise: `sets` changes by the increments of `extent` Brownian motions, each with the coordinate that it
     // changes, the coordinate by which it is multiplied, or -1, and the number of its motion.
     int64_t kick(double* x, double t, double tau, int64_t member) {
-        double *drawn = one.data(), *change = two.data();
-        const double size = std::sqrt(tau);
-        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).draw(0, table.extent, drawn);
-        std::fill_n(change, n, 0.0);
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).draw(0, table.extent, one.data());
+        return add_kicks(x, one.data(), two.data(), tau), defined(x);
+    }
+
+    template <class A>
+    void add_kicks(A* x, const A* drawn, A* change, double tau) const {
+        const A size(std::sqrt(tau));
+        std::fill_n(change, n, A(0.0));
         for (int64_t e = 0; e < table.sets; ++e) {
             const int64_t* const at = table.direction + 3 * e;
-            const double value = at[1] < 0 ? 1.0 : x[at[1]];
-            change[at[0]] = fma(table.rate[e] * value, size * drawn[at[2]], change[at[0]]);
+            const A value = at[1] < 0 ? A(1.0) : x[at[1]];
+            change[at[0]] = fma(A(table.rate[e]) * value, size * drawn[at[2]], change[at[0]]);
         }
         for (int64_t i = 0; i < n; ++i) x[i] += change[i];
-        return defined(x);
     }
 
     int64_t shake_by(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
-        const int64_t status = noise->flow(x, element, t, tau, member, side);
-        evaluations = noise->exponential.evaluations;
-        iterations = noise->exponential.iterations;
+        const double* const sums = increments->of(t, tau, member).sums.data();
+        const int64_t status = int64_t(noise->flow(x, element, t, sums, side, true));
+        evaluations = int64_t(noise->exponential.evaluations);
+        iterations = int64_t(noise->exponential.iterations);
         residual = noise->exponential.residual;
         return status;
     }
@@ -308,53 +322,6 @@ class Force {
         iterations = matrix->iterations;
         residual = matrix->residual;
         return status != DONE || finite(n, x) ? status : int64_t(OVERFLOWED);
-    }
-
-    // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
-    // distribution; the sets are applied one after the other, in the second half in reversed order: a symmetric
-    // splitting, of weak order two.
-    bool shake(double* x, double t, double tau, int half, int64_t member) {
-        double *v = two.data(), *deviates = three.data();
-        const double size = table.amplitude * std::sqrt(0.5 * tau);
-        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)).fill(n, deviates);
-        for (int64_t k = 0; k < table.sets; ++k) {
-            const int64_t set = half ? table.sets - 1 - k : k;
-            std::fill_n(v, n, 0.0);
-            for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
-                const int64_t a = table.direction[e];
-                const double length = size * deviates[a];
-                if (table.shape == FULL)
-                    for (int64_t i = a; i < n; ++i) v[i] = fma(table.aim[i * n + a], length, v[i]);
-                else
-                    v[a] = table.aim[table.shape == DIAGONAL ? a : 0] * length;
-            }
-            if (!exponent(v, 1.0, x, x)) return false;
-        }
-        return true;
-    }
-
-    int64_t settle(double* x, double t, double tau) {
-        const int64_t status = exponent.midpoint(x, two.data(), four.data(), [&](const double* middle, double* v) {
-            slope_at(field, constants, middle, t + 0.5 * tau, tau, six.data(), one.data(), workspace);
-            apply_metric(one.data(), v);
-        });
-        iterations = exponent.iterations;
-        evaluations = exponent.evaluations;
-        residual = exponent.residual;
-        return status;
-    }
-
-    // Set out to P y.
-    void apply_metric(const double* y, double* out) const {
-        for (int64_t i = 0; i < n; ++i) {
-            if (table.shape != FULL) {
-                out[i] = table.rate[table.shape == DIAGONAL ? i : 0] * y[i];
-                continue;
-            }
-            double sum = 0.0;
-            for (int64_t j = 0; j < n; ++j) sum = fma(table.rate[i * n + j], y[j], sum);
-            out[i] = sum;
-        }
     }
 
     // Parts of the deviates of measurements; 0 and 1 are those of the halves of a bath.

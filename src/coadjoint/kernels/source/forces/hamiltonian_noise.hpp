@@ -1,6 +1,8 @@
-// Hamiltonian noise: exponentials of linear functions, and midpoint rules of others, each over a random time.
+// Hamiltonian noise: exponentials of linear functions, and midpoint rules of others, each over a random time; of one
+// member, or of members as lanes.
 #pragma once
 
+#include <deque>
 #include <memory>
 
 #include "forces/increments.hpp"
@@ -10,9 +12,11 @@
 
 namespace coadjoint {
 
+template <class A>
 class HamiltonianNoise {
   public:
-    OrbitExponential exponential;
+    typedef typename Numbers<A>::Mask Mask;
+    OrbitExponential<A> exponential;
 
     // Of the table: `extent` Brownian motions in `sets`; set s has those with the numbers direction[begin[s]] to
     // direction[begin[s + 1] - 1]. aim[s] is zero for one exponential, a number of midpoint rules, or minus a number of
@@ -22,51 +26,41 @@ class HamiltonianNoise {
     HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group,
                      const MemberConstants& constants)
         : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size),
-          rows(table.begin + table.sets + 1), columns(table.direction + table.extent), v(n), middle(n), slope(n),
-          increments(table, table.position, table.extent, 0) {
+          rows(table.begin + table.sets + 1), columns(table.direction + table.extent), v(n), middle(n), slope(n) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
             for (int64_t b = table.direction[table.begin[set]], q = rows[b]; table.aim[set] != 0.0 && q < rows[b + 1]; ++q)
                 functions = std::max(functions, columns[q] + 1);
         for (int64_t k = 0; k < functions; ++k) {
             fields.push_back(reinterpret_cast<const Field*>(table.function[k]));
-            workspaces.emplace_back(new FieldWorkspace<double>(*fields.back()));
+            workspaces.emplace_back(new FieldWorkspace<A>(*fields.back()));
         }
         of_spins = spins.find(field, constants);
+        for (int64_t set = 0; set < table.sets && !of_spins; ++set) {
+            std::vector<bool> used(n, false);
+            for (int64_t e = table.begin[set]; e < table.begin[set + 1] && table.aim[set] == 0.0; ++e)
+                for (int64_t q = rows[table.direction[e]]; q < rows[table.direction[e] + 1]; ++q) used[columns[q]] = true;
+            products.emplace_back(field, constants, used);
+        }
     }
 
-    // Whether the noise of a step from t of length h acts before it (side 0) or after it (1), by a fair coin.
-    bool acts(double t, double h, int64_t member, int64_t side) {
-        return increments.of(t, h, member).first == (side == 0);
-    }
-
-    // The noise of a step on the side on which it acts: in order before it, and in reversed order after it. A group
-    // element moves with the state.
-    int64_t flow(double* x, double* element, double t, double h, int64_t member, int64_t side) {
-        exponential.iterations = exponential.evaluations = 0;
-        exponential.residual = std::numeric_limits<double>::quiet_NaN();
-        sums = increments.of(t, h, member).sums.data();
-        for (int64_t k = 0; k < table.sets; ++k) {
+    // The noise of a step with these increments, on the side of it on which it acts, for the members that are `moving`:
+    // in order before it (side 0), and in reversed order after it. A group element moves with the state. Returns statuses.
+    A flow(A* x, double* element, double t, const A* sums, int64_t side, Mask moving) {
+        exponential.iterations = exponential.evaluations = A(0.0);
+        exponential.residual = A(std::numeric_limits<double>::quiet_NaN());
+        A status = double(DONE);
+        for (int64_t k = 0; k < table.sets && any(moving); ++k) {
             const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
             const int64_t first = table.direction[table.begin[set]];
-            if (midpoints) {
-                const int64_t status = midpoints < 0 ? by_parts(x, element, t, first, -midpoints)
-                                                     : by_midpoints(x, element, t, first, midpoints);
-                if (status != DONE) return status;
-                continue;
-            }
-            std::fill_n(v.data(), n, 0.0);
-            for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
-                const int64_t b = table.direction[e];
-                for (int64_t q = rows[b]; q < rows[b + 1]; ++q) v[columns[q]] += sums[b] * table.rate[q];
-            }
-            if (of_spins)
-                rotate_spins(x);
-            else if (!exponential(v.data(), 1.0, x, x))
-                return exponential.failed(v.data());
-            if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
+            if (midpoints < 0)
+                by_parts(x, element, t, sums, first, -midpoints, moving, status);
+            else if (midpoints > 0)
+                by_midpoints(x, element, t, sums, first, midpoints, moving, status);
+            else
+                together(x, element, sums, set, moving, status);
         }
-        return DONE;
+        return status;
     }
 
   private:
@@ -76,41 +70,108 @@ class HamiltonianNoise {
     Spins spins;
     bool of_spins = false;  // whether the algebra is a sum of so(3), where exponentials are rotations
     const int64_t *rows, *columns;
-    std::vector<double> v, middle, slope;
-    BrownianIncrements increments;
-    const double* sums = nullptr;  // increments of the step
+    AlignedArray<A> v, middle, slope;
+    std::deque<RestrictedField> products;  // of each set of linear functions
     std::vector<const Field*> fields;
-    std::vector<std::unique_ptr<FieldWorkspace<double>>> workspaces;
+    std::vector<std::unique_ptr<FieldWorkspace<A>>> workspaces;
+
+    // Linear functions that commute.
+    void together(A* x, double* element, const A* sums, int64_t set, Mask& moving, A& status) {
+        std::fill_n(v.at, n, A(0.0));
+        for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
+            const int64_t b = table.direction[e];
+            for (int64_t q = rows[b]; q < rows[b + 1]; ++q) v.at[columns[q]] += sums[b] * A(table.rate[q]);
+        }
+        if (of_spins) rotate_spins(x, moving);
+        move(x, element, moving, status, of_spins, of_spins ? nullptr : &products[set]);
+    }
+
+    // Move a state, unless it is `moved`, and the group element by exponentials of v. Members that fail stop moving.
+    void move(A* x, double* element, Mask& moving, A& status, bool moved = false,
+              const RestrictedField* restricted = nullptr) {
+        Mask defined = moving;
+        if (!moved) defined = exponential(v.at, 1.0, x, x, moving, restricted);
+        if constexpr (Numbers<A>::lanes == 1)
+            if (has_group) defined = defined && exponential.turn(v.at, element);
+        if (__builtin_expect(any(moving & !defined), 0)) stop(moving & !defined, exponential.failed(v.at), moving, status);
+    }
+
+    static void stop(const Mask& where, const A& reason, Mask& moving, A& status) {
+        status = select(where, reason, status);
+        moving = moving & !where;
+    }
 
     // Set x to exp(D_v) x, where D_v x = turn x cross v for each spin: a rotation of x in closed form.
-    void rotate_spins(double* x) const {
+    void rotate_spins(A* x, const Mask& moving) const {
         for (int64_t s = 0; s < spins.size(); ++s) {
-            const int64_t at[3] = {spins.coordinate[0][s], spins.coordinate[1][s], spins.coordinate[2][s]};
-            const double w[3] = {spins.turn[s] * v[at[0]], spins.turn[s] * v[at[1]], spins.turn[s] * v[at[2]]};
-            const int axes = (w[0] != 0.0) + (w[1] != 0.0) + (w[2] != 0.0);
-            if (axes == 0) continue;
-            if (axes == 1) {
-                const int a = w[0] != 0.0 ? 0 : w[1] != 0.0 ? 1 : 2, b = (a + 1) % 3, c = (a + 2) % 3;
-                const Rotation<double> rotation = rotation_by(w[a]);
-                const double one = x[at[b]], two = x[at[c]];
-                x[at[b]] = one + fma(rotation.cosm1, one, rotation.sine * two);
-                x[at[c]] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
-                continue;
-            }
-            const double square = fma(w[0], w[0], fma(w[1], w[1], w[2] * w[2]));
-            if (square == 0.0) continue;
-            const double angle = std::sqrt(square);
-            const Rotation<double> rotation = rotation_by(angle);
-            const double first = rotation.sine / angle, second = -(rotation.cosm1 / square);
-            double across[3], back[3];
-            const double y[3] = {x[at[0]], x[at[1]], x[at[2]]};
-            cross(y, w, across);
-            cross(across, w, back);
-            for (int a = 0; a < 3; ++a) x[at[a]] = y[a] + fma(first, across[a], second * back[a]);
+            A y[3], w[3];
+            for (int a = 0; a < 3; ++a) y[a] = x[spins.coordinate[a][s]], w[a] = A(spins.turn[s]) * v.at[spins.coordinate[a][s]];
+            if (alike(w))
+                rotate_parts<Part>(w, y);
+            else
+                rotate_parts<double>(w, y);
+            for (int a = 0; a < 3; ++a) x[spins.coordinate[a][s]] = select(moving, y[a], x[spins.coordinate[a][s]]);
         }
     }
 
-    static void cross(const double* x, const double* w, double* out) {
+    // As many lanes as stay in registers.
+    typedef std::conditional_t<Numbers<A>::lanes == 1, double, Lanes<NATIVE>> Part;
+
+    // Rotate as many members at once as B has lanes.
+    template <class B>
+    static void rotate_parts(const A* w, A* x) {
+        for (int first = 0; first < Numbers<A>::lanes; first += Numbers<B>::lanes) {
+            B part[3], about[3];
+            for (int a = 0; a < 3; ++a) {
+                part[a] = load<B>(reinterpret_cast<const double*>(x + a) + first);
+                about[a] = load<B>(reinterpret_cast<const double*>(w + a) + first);
+            }
+            rotate(about, part);
+            for (int a = 0; a < 3; ++a) store(reinterpret_cast<double*>(x + a) + first, part[a]);
+        }
+    }
+
+    // Whether `rotate` takes the same operations for all members.
+    static bool alike(const A* w) {
+        int axes = 0;
+        for (int a = 0; a < 3; ++a) {
+            const Mask none = w[a] == A(0.0);
+            if (any(none) && !all(none)) return false;
+            axes += !all(none);
+        }
+        return axes < 2 || Numbers<A>::lanes == 1 || !any(squared(w) == A(0.0));
+    }
+
+    template <class B>
+    static B squared(const B* w) { return fma(w[0], w[0], fma(w[1], w[1], w[2] * w[2])); }
+
+    template <class B>
+    static INLINE void rotate(const B* w, B* x) {
+        bool turns[3];
+        for (int a = 0; a < 3; ++a) turns[a] = !all(w[a] == B(0.0));
+        const int axes = turns[0] + turns[1] + turns[2];
+        if (axes == 0) return;
+        if (axes == 1) {
+            const int a = turns[0] ? 0 : turns[1] ? 1 : 2, b = (a + 1) % 3, c = (a + 2) % 3;
+            const Rotation<B> rotation = rotation_by(w[a]);
+            const B one = x[b], two = x[c];
+            x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
+            x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
+            return;
+        }
+        const B square = squared(w);
+        if (all(square == B(0.0))) return;
+        const B angle = square_root(square);
+        const Rotation<B> rotation = rotation_by(angle);
+        const B first = rotation.sine / angle, second = -(rotation.cosm1 / square);
+        B across[3], back[3];
+        cross(x, w, across);
+        cross(across, w, back);
+        for (int a = 0; a < 3; ++a) x[a] = x[a] + fma(first, across[a], second * back[a]);
+    }
+
+    template <class B>
+    static INLINE void cross(const B* x, const B* w, B* out) {
         for (int a = 0; a < 3; ++a) {
             const int b = (a + 1) % 3, c = (a + 2) % 3;
             out[a] = fma(x[b], w[c], -(x[c] * w[b]));
@@ -121,40 +182,39 @@ class HamiltonianNoise {
 
     // Functions whose gradients are constant along their flows: these in their order and back, at fractions of the
     // increment.
-    int64_t by_parts(double* x, double* element, double t, int64_t b, int64_t count) {
+    void by_parts(A* x, double* element, double t, const A* sums, int64_t b, int64_t count, Mask& moving, A& status) {
         const int64_t parts = rows[b + 1] - rows[b];
         for (int64_t k = 0; k < count; ++k)
-            for (int64_t p = 0; p < 2 * parts - 1; ++p) {
+            for (int64_t p = 0; p < 2 * parts - 1 && any(moving); ++p) {
                 const int64_t q = rows[b] + (p < parts ? p : 2 * parts - 2 - p);
-                const double size = (p == parts - 1 ? 1.0 : 0.5) * fraction_of(k, count) * sums[b] * table.rate[q];
-                const Field& field = *fields[columns[q]];
-                InterruptCheck::of_this_call().after(work_of(field));
-                gradient(field, MemberConstants{1, 0}, x, t, v.data(), *workspaces[columns[q]]);
-                for (int64_t i = 0; i < n; ++i) v[i] *= size;
-                if (!exponential(v.data(), 1.0, x, x)) return exponential.failed(v.data());
-                if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
+                const A size = A((p == parts - 1 ? 1.0 : 0.5) * fraction_of(k, count)) * sums[b] * A(table.rate[q]);
+                gradient_of(columns[q], x, t, v.at);
+                for (int64_t i = 0; i < n; ++i) v.at[i] *= size;
+                move(x, element, moving, status);
             }
-        return DONE;
     }
 
     // Midpoint rules over fractions of the increment: one, which is exact, or those of Suzuki, of order four.
-    int64_t by_midpoints(double* x, double* element, double t, int64_t b, int64_t midpoints) {
-        for (int64_t k = 0; k < midpoints; ++k) {
-            const double fraction = fraction_of(k, midpoints);
-            const int64_t status = exponential.midpoint(x, v.data(), middle.data(), [&](const double* y, double* to) {
-                std::fill_n(to, n, 0.0);
+    void by_midpoints(A* x, double* element, double t, const A* sums, int64_t b, int64_t midpoints, Mask& moving,
+                      A& status) {
+        for (int64_t k = 0; k < midpoints && any(moving); ++k) {
+            const A size = A(fraction_of(k, midpoints)) * sums[b];
+            const A found = exponential.midpoint(x, v.at, middle.at, moving, [&](const A* y, A* to) {
+                std::fill_n(to, n, A(0.0));
                 for (int64_t q = rows[b]; q < rows[b + 1]; ++q) {
-                    const Field& field = *fields[columns[q]];
-                    InterruptCheck::of_this_call().after(work_of(field));
-                    gradient(field, MemberConstants{1, 0}, y, t, slope.data(), *workspaces[columns[q]]);
-                    for (int64_t i = 0; i < n; ++i) to[i] = fma(table.rate[q], slope[i], to[i]);
+                    gradient_of(columns[q], y, t, slope.at);
+                    for (int64_t i = 0; i < n; ++i) to[i] = fma(A(table.rate[q]), slope.at[i], to[i]);
                 }
-                for (int64_t i = 0; i < n; ++i) to[i] *= fraction * sums[b];
+                for (int64_t i = 0; i < n; ++i) to[i] *= size;
             });
-            if (status != DONE) return status;
-            if (has_group && !exponential.turn(v.data(), element)) return exponential.failed(v.data());
+            if (const Mask failing = moving & !(found == A(double(DONE))); any(failing)) stop(failing, found, moving, status);
+            if (any(moving)) move(x, element, moving, status, true);
         }
-        return DONE;
+    }
+
+    void gradient_of(int64_t k, const A* x, double t, A* out) {
+        InterruptCheck::of_this_call().after(Numbers<A>::lanes * work_of(*fields[k]));
+        gradient(*fields[k], MemberConstants{1, 0}, x, A(t), out, *workspaces[k]);
     }
 
     static constexpr double OUTER = 0.41449077179437573714;  // 1/(4 - 4^(1/3))

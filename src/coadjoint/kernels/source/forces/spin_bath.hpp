@@ -43,6 +43,7 @@ class SpinBath {
     explicit operator bool() const { return usable; }
 
     bool measures() const { return !rows.empty(); }
+    int64_t size() const { return spins.size(); }
 
     // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`. Threads wait
     // for one another only where spins need their neighbors.
@@ -77,6 +78,7 @@ class SpinBath {
     }
 
   private:
+    friend class SpinBathOfLanes;
     typedef SpinRows::A A;
     static constexpr int W = SpinRows::W;
     // Midpoint iterations: some ten converge.
@@ -182,21 +184,23 @@ class SpinBath {
     }
 
     // sin(w)/w and (1 - cos(w))/w^2 for the square of w, each lane by itself.
-    static INLINE void rotation_by_square(const A& square, A& first, A& second) {
-        first = second = A(0.0);
+    template <class B>
+    static INLINE void rotation_by_square(const B& square, B& first, B& second) {
+        first = second = B(0.0);
         for (int k = 4; k >= 0; --k) {
-            first = fma(-square, first, A(INVERSE_FACTORIALS[2 * k + 1].high));
-            second = fma(-square, second, A(INVERSE_FACTORIALS[2 * k + 2].high));
+            first = fma(-square, first, B(INVERSE_FACTORIALS[2 * k + 1].high));
+            second = fma(-square, second, B(INVERSE_FACTORIALS[2 * k + 2].high));
         }
-        const auto small = square <= A(SMALL_SQUARE);
+        const auto small = square <= B(SMALL_SQUARE);
         if (__builtin_expect(all(small), 1)) return;
-        const A w = square_root(square);
-        const Rotation<A> rotation = rotation_by(w);
+        const B w = square_root(square);
+        const Rotation<B> rotation = rotation_by(w);
         first = select(small, first, rotation.sine / w);
         second = select(small, second, -(rotation.cosm1 / square));
     }
 
-    static INLINE void cross(const A* x, const A* v, A* out) {
+    template <class B>
+    static INLINE void cross(const B* x, const B* v, B* out) {
         for (int a = 0; a < 3; ++a) {
             const int b = (a + 1) % 3, c = (a + 2) % 3;
             out[a] = fma(x[b], v[c], -(x[c] * v[b]));
@@ -204,15 +208,17 @@ class SpinBath {
     }
 
     // Set out to x of eight spins rotated by v: exp(D_v) x for the bracket J(x) v = x cross v.
-    static INLINE void rotate(const A* v, const A* x, A* out) {
-        A across[3], back[3], first, second;
+    template <class B>
+    static INLINE void rotate(const B* v, const B* x, B* out) {
+        B across[3], back[3], first, second;
         rotation_by_square(dot(v, v), first, second);
         cross(x, v, across);
         cross(across, v, back);
         for (int a = 0; a < 3; ++a) out[a] = x[a] + fma(first, across[a], second * back[a]);
     }
 
-    static INLINE A dot(const A* v, const A* w) { return fma(v[0], w[0], fma(v[1], w[1], v[2] * w[2])); }
+    template <class B>
+    static INLINE B dot(const B* v, const B* w) { return fma(v[0], w[0], fma(v[1], w[1], v[2] * w[2])); }
 
     // The midpoint rule on the orbits: x_new = exp(D_v) x, with v = tau P J(y) grad H(y) at y = exp(D_v / 2) x, where
     // D_v x = turn x cross v. Leaves turn v / 2 in `slope`.

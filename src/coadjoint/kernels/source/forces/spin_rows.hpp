@@ -110,6 +110,18 @@ class SpinRows {
         return sum;
     }
 
+    // Let `visit(weight, position)` have the entries of one row of the first eight spins, in their order; return its offset.
+    template <class Visit>
+    double each_entry(int64_t spin, int a, const Visit& visit) const {
+        for (int64_t e = first[a]; e < first[a + 1]; ++e) {
+            const Entry& entry = entries[e];
+            visit(entry.uniform ? entry.weight : weights[W * e + spin],
+                  entry.base < 0 ? scattered[W * entry.gathered + spin]
+                                 : (double(spin) < entry.split ? entry.base : entry.other) + spin);
+        }
+        return offset[W * a + spin];
+    }
+
   private:
     static constexpr int64_t SUMMED_SPINS = 256;  // of a block of a sum
     static constexpr double NUMBERS[W] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0};

@@ -12,20 +12,26 @@
 namespace coadjoint {
 
 // A step of members as lanes, each with the same bits as alone.
-struct LaneStep {
-    typedef Lanes<NATIVE> A;
-    int64_t work = 0;  // approximate number of multiplications of a step of all of them
+template <class Number>
+struct StepOfLanes {
+    typedef Number A;
+    static constexpr int lanes = Numbers<A>::lanes;
+    int64_t work = 0;       // approximate number of multiplications of a step of all of them
+    int64_t number[lanes];  // of each member in the run
     // Of each member after a step.
-    int64_t status[NATIVE], evaluations[NATIVE], iterations[NATIVE];
-    double residual[NATIVE];
+    int64_t status[lanes], evaluations[lanes], iterations[lanes];
+    double residual[lanes];
 
-    virtual ~LaneStep() = default;
+    virtual ~StepOfLanes() = default;
     // Load and store the memory of a member.
-    virtual void read(int lane, const double* memory) = 0;
-    virtual void write(int lane, double* memory) const = 0;
-    // Take one step of the lengths h in place, for the members that are `active`.
-    virtual void step(A* x, A* dx, const A& h, const int64_t* active) = 0;
+    virtual void read(int /* lane */, const double* /* memory */) {}
+    virtual void write(int /* lane */, double* /* memory */) const {}
+    // Take one step from the times t of the lengths h in place, for the members that are `active`.
+    virtual void step(A* x, A* dx, const A& t, const A& h, const int64_t* active) = 0;
 };
+typedef StepOfLanes<Lanes<NATIVE>> LaneStep;
+// Of members that have the same times and lengths of steps, and no events.
+typedef StepOfLanes<Lanes<MEMBER_LANES>> WideStep;
 
 struct StepScheme {
     int64_t work = 0;       // approximate number of multiplications of a step
@@ -42,6 +48,8 @@ struct StepScheme {
     // The same step of members as lanes, with constants of their `own` or those of these tables, which must outlive it;
     // null if lanes are no faster, or if the members take different operations.
     virtual std::unique_ptr<LaneStep> lane_step(const StepTables&, const LaneConstants* /* own */) { return nullptr; }
+    // The same for more members, with the constants of these tables.
+    virtual std::unique_ptr<WideStep> wide_step() { return nullptr; }
     // The Taylor series of the motion over the last step, if the scheme has one.
     virtual StepSeries series_of_step() const { return {}; }
 };

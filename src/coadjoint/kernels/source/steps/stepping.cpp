@@ -1,11 +1,9 @@
 // Entry points of step methods for Python: the loop over steps, of one member after the other or of members as lanes.
 #include <atomic>
-#include <deque>
 #include <memory>
 
 #include "boundary/loop.hpp"
 #include "numbers/float_mode.hpp"
-#include "steps/member_batches.hpp"
 #include "steps/own_steps.hpp"
 
 namespace coadjoint {
@@ -20,6 +18,7 @@ struct CachedStep {
     FloatMode mode = STANDARD_MODE;
     std::shared_ptr<StepScheme> scheme;
     std::shared_ptr<LaneStep> lane_step;
+    std::shared_ptr<WideStep> wide_step;
 };
 // Steps that a thread keeps for the next call, and the largest dimension of these, whose set-up costs as a step.
 constexpr int64_t CACHE_SIZE = 16, LARGEST_CACHED = 64;
@@ -53,25 +52,29 @@ static CachedStep cached_step(const Stepping& tables, bool as_lanes) {
         entry.mode = mode;
     }
     if (as_lanes && !entry.lane_step) entry.lane_step = entry.scheme->lane_step(tables.tables, nullptr);
+    if (as_lanes && !entry.wide_step) entry.wide_step = entry.scheme->wide_step();
     return entry;
 }
 
 // Members as lanes; the last one fills unused lanes.
-template <class C>
-static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const C& constants, const int64_t* members,
-                          int64_t count) {
-    typedef LaneStep::A A;
+template <class Number, class C>
+static void advance_lanes(const Loop<Stepping>& loop, StepOfLanes<Number>& lane_step, const C& constants,
+                          const int64_t* members, int64_t count) {
+    typedef Number A;
+    constexpr int lanes = Numbers<A>::lanes;
     const Stepping& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size;
     AlignedArray<A> momentum(2 * n);
-    A *x = momentum.at, *dx = x + n, h(0.0);
-    int64_t active[NATIVE] = {}, moving[NATIVE] = {}, left = 0;  // events end the recording, but not the steps
+    A *x = momentum.at, *dx = x + n, h(0.0), t(0.0);
+    int64_t active[lanes] = {}, moving[lanes] = {}, left = 0;  // events end the recording, but not the steps
+    int64_t evaluations[lanes] = {}, iterations[lanes] = {};
     read_lanes(x, arrays.momenta, n, members, count);
     read_lanes(dx, arrays.errors, n, members, count);
-    for (int lane = 0; lane < NATIVE; ++lane) {
+    for (int lane = 0; lane < lanes; ++lane) {
         const int64_t member = members[std::min<int64_t>(lane, count - 1)];
+        lane_step.number[lane] = number_of(schedule, member);
         set_lane(h, lane, length_of(schedule, member));
         if (arrays.memory_size) lane_step.read(lane, loop.memory_of(member));
         if (lane < count) left += active[lane] = moving[lane] = arrays.status[member] == DONE;
@@ -81,6 +84,8 @@ static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const
         write_lane(x, arrays.momenta, n, members[lane], lane);
         write_lane(dx, arrays.errors, n, members[lane], lane);
         if (arrays.memory_size) lane_step.write(lane, loop.memory_of(members[lane]));
+        arrays.evaluations[members[lane]] += evaluations[lane];
+        arrays.iterations[members[lane]] += iterations[lane];
     };
     auto stop = [&](int lane, int64_t k, int64_t status, double residual) {
         recorder.store_worst();
@@ -88,17 +93,22 @@ static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const
         active[lane] = moving[lane] = 0, --left;
         loop.fail(members[lane], k, status, residual);
     };
-    const int64_t work = NATIVE * work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + lane_step.work;
+    const int64_t work = lanes * work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + lane_step.work;
     for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
+        t = A(start_of(schedule, members[0], k));
+        for (int lane = 0; schedule.starts && lane < lanes; ++lane)
+            set_lane(t, lane, start_of(schedule, members[std::min<int64_t>(lane, count - 1)], k));
         for (int64_t part = 0; part < tables.substeps && left > 0; ++part) {
             loop.interrupts.after(work);
-            lane_step.step(x, dx, A(tables.fraction[part]) * h, moving);
-            for (int lane = 0; lane < count; ++lane) {
-                if (!moving[lane]) continue;
-                arrays.evaluations[members[lane]] += lane_step.evaluations[lane];
-                arrays.iterations[members[lane]] += lane_step.iterations[lane];
-                if (lane_step.status[lane] != DONE) stop(lane, k, lane_step.status[lane], lane_step.residual[lane]);
+            lane_step.step(x, dx, t + A(tables.moment[part]) * h, A(tables.fraction[part]) * h, moving);
+            int64_t failing = 0;
+            for (int lane = 0; lane < lanes; ++lane) {
+                evaluations[lane] += lane_step.evaluations[lane], iterations[lane] += lane_step.iterations[lane];
+                failing |= moving[lane] * (lane_step.status[lane] ^ DONE);
             }
+            for (int lane = 0; failing && lane < count; ++lane)
+                if (moving[lane] && lane_step.status[lane] != DONE)
+                    stop(lane, k, lane_step.status[lane], lane_step.residual[lane]);
         }
         const auto valid = finite(n, x);
         if (__builtin_expect(!all(valid), 0))
@@ -140,59 +150,6 @@ static int64_t reach(OwnSteps& scheme, double t0, int64_t k, double h, double* x
 
 typedef MemberRecorder<double, MemberConstants, AlreadyFinished> RecorderAlone;
 
-// Members of the same constants, starts and steps, one step of all after the other.
-static void advance_batch(const Loop<Stepping>& loop, BatchScheme& scheme, const int64_t* members, int64_t count) {
-    const Stepping& tables = loop.tables;
-    const Schedule& schedule = loop.schedule;
-    const Arrays& arrays = loop.arrays;
-    const int64_t n = arrays.size, row = (n + 7) / 8;
-    AlignedArray<Lanes<8>> momenta(2 * row * count);
-    double* const at = reinterpret_cast<double*>(momenta.at);
-    std::fill_n(at, 16 * row * count, 0.0);
-    AlreadyFinished nothing;
-    std::deque<RecorderAlone> recorders;
-    BatchMember batch[BatchScheme::MOST_MEMBERS];
-    int64_t left = 0;
-    for (int64_t b = 0; b < count; ++b) {
-        const int64_t member = members[b];
-        double *x = at + 16 * row * b, *dx = x + 8 * row;
-        batch[b] = {x, dx, number_of(schedule, member), arrays.status[member], 0, 0, 0.0};
-        std::copy_n(arrays.momenta + member * n, n, x);
-        std::copy_n(arrays.errors + member * n, n, dx);
-        recorders.emplace_back(loop.watch, arrays, schedule, MemberConstants{1, 0}, nothing);
-        recorders.back().begin(member, MemberConstants{1, 0}, loop.k0);
-        left += batch[b].status == DONE;
-    }
-    const double h = length_of(schedule, members[0]);
-    const int64_t work = count * (work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + scheme.work);
-    for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
-        loop.interrupts.after(work);
-        int64_t before[BatchScheme::MOST_MEMBERS];
-        for (int64_t b = 0; b < count; ++b) before[b] = batch[b].status;
-        scheme.step_batch(batch, count, start_of(schedule, members[0], k) + tables.moment[0] * h, tables.fraction[0] * h);
-        for (int64_t b = 0; b < count; ++b) {
-            if (before[b] != DONE) continue;
-            const int64_t member = members[b];
-            arrays.evaluations[member] += batch[b].evaluations;
-            arrays.iterations[member] += batch[b].iterations;
-            if (batch[b].status == DONE && !finite(n, batch[b].x)) {
-                batch[b].status = OVERFLOWED;
-                batch[b].residual = std::numeric_limits<double>::quiet_NaN();
-            }
-            if (batch[b].status != DONE) {
-                loop.fail(member, k, batch[b].status, batch[b].residual);
-                --left;
-                continue;
-            }
-            recorders[b].after(k, batch[b].x, batch[b].dx, [](int64_t, double*) { return true; });
-        }
-    }
-    for (int64_t b = 0; b < count; ++b) {
-        std::copy_n(batch[b].x, n, arrays.momenta + members[b] * n);
-        std::copy_n(batch[b].dx, n, arrays.errors + members[b] * n);
-    }
-}
-
 static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     const Stepping& tables = loop.tables;
     const Watch& watch = loop.watch;
@@ -205,10 +162,16 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> unshared;
     // Events are located by the series of a step, which only single members have.
-    const bool as_lanes =
-        range.last - range.first >= MIN_FILLED_LANES && n <= LARGEST_CACHED && !schedule.events;
+    const bool several = range.last - range.first >= MIN_FILLED_LANES && !schedule.events;
+    const bool as_lanes = several && n <= LARGEST_CACHED;
     const CachedStep shared = range.stride || n > LARGEST_CACHED ? CachedStep{} : cached_step(tables, as_lanes);
     StepScheme* scheme = shared.scheme.get();
+    std::shared_ptr<WideStep> wide_step = shared.wide_step;
+    if (several && !as_lanes && !range.stride && n <= WIDEST) {
+        scheme = (unshared = made(tables, MemberConstants{1, 0})).get();
+        wide_step = scheme->wide_step();
+    }
+    if (schedule.starts || schedule.lengths) wide_step.reset();
     AlreadyFinished nothing;
     RecorderAlone recorder(watch, arrays, schedule, MemberConstants{1, 0}, nothing);
     const auto advance_alone = [&](int64_t position) {
@@ -259,13 +222,10 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
         std::copy_n(x, n, arrays.momenta + member * n);
         std::copy_n(dx, n, arrays.errors + member * n);
     };
-    auto* const batches = dynamic_cast<BatchScheme*>(scheme);
-    const bool together = batches && as_lanes && tables.substeps == 1 && !schedule.starts && !schedule.lengths &&
-                          batches->takes_batches();
     for (int64_t position = range.first, last; position < range.last; position = last) {
-        if (together) {
-            last = std::min<int64_t>(position + BatchScheme::MOST_MEMBERS, range.last);
-            advance_batch(loop, *batches, range.members + position, last - position);
+        if (wide_step) {
+            last = std::min<int64_t>(position + MEMBER_LANES, range.last);
+            advance_lanes(loop, *wide_step, SharedConstants{}, range.members + position, last - position);
             continue;
         }
         last = std::min<int64_t>(position + NATIVE, range.last);
