@@ -28,6 +28,7 @@ SUBJECTS = {
         "ensembles": "Ensembles",
         "batches": "Batches beside ensembles",
         "members_of_series": "Ensembles by Taylor series",
+        "members_with_forces": "Ensembles with forces",
         "families": "Families of runs",
         "dispersions": "Satellites with dispersed numbers",
         "archives": "Archives and workers",
