@@ -190,6 +190,12 @@ OWN = {
         ),
     },
     "maxwell_bloch": {"coupling": positive()},
+    "point_vortices": {
+        "circulations": vector((1.0, -0.5), real(), (2,), (1e-100, 1e100, 3), any_length=True).plus(
+            outside=((1.0, 0.0), (1e-101,), (1e101,), [[1.0]], np.ones(683))
+        ),
+        "surface": choice("plane", "sphere"),
+    },
     "rigid_molecules": {
         "sites": vector([[0.0, 0.0, 0.0], [0.08, 0.0, 0.06], [-0.08, 0.0, 0.06]], real()),
         "charges": vector((-0.8, 0.4, 0.4), real(), (0, 0, 0)),

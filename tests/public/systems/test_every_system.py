@@ -55,6 +55,9 @@ SOLVED = {
     "moments, repelled": (S.vlasov_moments(4, "-0.3*x20"), 0),
     "moments, free": (S.vlasov_moments(2, "0"), 0),
     "satellite": (S.satellite((0.7, 0.7, 0.7), 1.5, 0.8), 0),
+    "vortices": (S.point_vortices((1.0, 2.5)), 0),
+    "opposite vortices": (S.point_vortices((-1.0, 1.0)), 0),
+    "vortices on a sphere": (S.point_vortices((-1.0, 2.5), "sphere"), 0),
 }
 OTHERS = {
     "heavy top, full": S.heavy_top(FULL, (0.3, -0.4, 0.8)),
@@ -96,6 +99,7 @@ OTHERS = {
     "open chain": S.toda(5),
     "ring": S.toda_ring(5),
     "rotating sphere": S.sphere_euler(5, 0.7),
+    "four vortices": S.point_vortices((-1.0, 2.5, 0.3, 1.0), "sphere"),
     "planet": S.sphere_qg(5, 12.0, 0.7, {(2, 1): 0.2 - 0.1j, (1, 0): 0.1}, 1.5),
     "basin": S.torus_qg(5, 1.5, {(1, 2): 0.2 - 0.1j}),
     "surface of a torus": S.surface_qg(5, "torus"),

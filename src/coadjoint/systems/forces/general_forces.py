@@ -79,6 +79,9 @@ class LinearDamping(Force):
         self._read(rate=_read_rates, toward=partial(read_state, number=True))
 
     def check(self, system: Any) -> None:
+        momenta = momenta_of(system)
+        if momenta is not None and not momenta.any():
+            raise ValueError(f"LinearDamping acts on momenta, and {system.name} has none")
         if system.has_matrices and np.ndim(self.rate):
             raise ValueError(
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
