@@ -47,7 +47,7 @@ class PointVortices(LiePoissonSystem):
 
     @property
     def surface(self) -> str:
-        """ "plane" or "sphere"."""
+        """The surface, plane or sphere."""
         return str((self._parameters or {})["surface"])
 
     def state(self, places: Any) -> Floats:
@@ -339,10 +339,11 @@ def point_vortices(circulations: npt.ArrayLike = (1.0, 1.0), surface: str = "pla
         )
     axes = AXES[read_choice(surface, "surface", AXES)]
     algebra = _algebra(c, surface)
-    interaction = _interaction(axes, len(c))
+    value, gradient, hessian = _interaction(axes, len(c))
+    shares = number_of_shares(len(c))
     return PointVortices(
         algebra,
-        FunctionOfConstants(np.arange(algebra.dim), c, *interaction, number_of_shares(len(c))).hamiltonian(),
+        FunctionOfConstants(np.arange(algebra.dim), c, value, gradient, hessian, shares).hamiltonian(),
         sign=+1,
         name="point_vortices",
         parameters={"circulations": tuple(c.tolist()), "surface": surface},
