@@ -110,18 +110,10 @@ def rest_of(system: Any) -> NDArray[np.float64] | None:
     return None if rest is None or not rest.any() else np.asarray(system.to_vector(rest))
 
 
-def check_has_momenta(what: str, system: Any) -> None:
-    """Raise ValueError if no coordinate of a system is a momentum."""
-    momenta = momenta_of(system)
-    if momenta is not None and not momenta.any():
-        raise ValueError(f"{what} acts on momenta, and {system.name} has none")
-
-
 def check_moved(what: str, system: Any, moved: NDArray[np.bool_]) -> None:
     """Raise ValueError if any coordinate is moved that a force may not change."""
     if not moved.any():
         return
-    check_has_momenta(what, system)
     names, kinds = coordinate_names(system), kinds_of(system)
     assert kinds is not None
     momenta = [name for name, kind in zip(names, kinds, strict=True) if kind == "momentum"]

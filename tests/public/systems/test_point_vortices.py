@@ -180,5 +180,5 @@ def test_what_is_refused():
         sphere.state([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     with refused(ValueError, "(3, 2)", "2 vortices"):
         plane.state(np.zeros((3, 2)))
-    with refused(ValueError, "momenta", "point_vortices"):
+    with refused(ValueError, "momentum", "point_vortices"):
         plane.with_forces(co.forces.LinearDamping(0.1))

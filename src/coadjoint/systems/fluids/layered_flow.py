@@ -53,6 +53,7 @@ class LayeredQG(StackedSystem):
     """
 
     stream: LayeredStream
+    planetary: Matrix
     layer_names = "the potential vorticity of each layer"
     independent_layers = True
 
@@ -225,7 +226,7 @@ class LayeredQG(StackedSystem):
     @cached_property
     def casimirs(self) -> dict[str, Any]:
         """Name to function of states (..., layers, N, N): the traces of powers of each layer, from 1."""
-        found = {}
+        found: dict[str, Any] = {}
         for k in range(len(self.thicknesses)):
             one = traces_of(self.algebra, self.powers, partial(self._layer, k), partial(self._of_layer, k))
             found |= {f"{name} [{k + 1}]": trace for name, trace in one.items()}
@@ -246,7 +247,8 @@ class LayeredQG(StackedSystem):
         return tuple(f"tr W^2 [{k + 1}]" for k in range(len(self.thicknesses)) if self.powers)
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
-        X, found = self.matrices(x), {}
+        X = self.matrices(x)
+        found: dict[str, Any] = {}
         traces = traces_of(self.algebra, self.powers, self.matrices, self.to_vector)
         for k in range(len(self.thicknesses)):
             found |= {f"{name} [{k + 1}]": value for name, value in values_of(traces, X[..., k, :, :]).items()}
@@ -339,7 +341,7 @@ GALLERY_GAMMA = ((8.0, -8.0), (-8.0, 8.0))
 def _sheared_jet() -> Matrix:
     """Return a jet in the upper layer alone."""
     system = layered_qg(48, GALLERY_GAMMA)
-    jet = system.fluid.zonal_jet(band=(0.2, 1.2), perturbation=0.05)
+    jet = sphere_euler(48).zonal_jet(band=(0.2, 1.2), perturbation=0.05)
     return system.absolute([jet, np.zeros_like(jet)])
 
 

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.coordinates import (
-    check_has_momenta,
-    check_moved,
-    independent_groups,
-    moved_by,
-    moving_others,
-    turned_by_bracket,
-)
+from coadjoint.systems.coordinates import check_moved, independent_groups, moved_by, moving_others, turned_by_bracket
 from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
@@ -136,7 +129,6 @@ class DoubleBracketDamping(Force):
                     "number"
                 )
             return
-        check_has_momenta(name, system)
         if not system.has_structure_constants:
             raise ValueError(
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not "

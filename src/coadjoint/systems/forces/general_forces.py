@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.coordinates import check_has_momenta, momenta_of, rest_of
+from coadjoint.systems.coordinates import momenta_of, rest_of
 from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
@@ -79,7 +79,6 @@ class LinearDamping(Force):
         self._read(rate=_read_rates, toward=partial(read_state, number=True))
 
     def check(self, system: Any) -> None:
-        check_has_momenta("LinearDamping", system)
         if system.has_matrices and np.ndim(self.rate):
             raise ValueError(
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "

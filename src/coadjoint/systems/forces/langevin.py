@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.coordinates import check_has_momenta, check_moved, momenta_of
+from coadjoint.systems.coordinates import check_moved, momenta_of
 from coadjoint.systems.forces.angular_velocity import PER_BODY
 from coadjoint.systems.forces.base import (
     Force,
@@ -106,7 +106,6 @@ class Langevin(Force):
     def check(self, system: Any) -> None:
         if system.has_matrices:
             raise ValueError(f"Langevin acts on momenta that are vectors, and the states of {system.name} are matrices")
-        check_has_momenta("Langevin", system)
         if system.frame_rate is not None:
             raise ValueError(f"Langevin is friction relative to space, and the frame of {system.name} turns")
         shape = np.shape(self.rate)

@@ -364,7 +364,7 @@ class LayeredStream:
         return str(self.of_modes[0].modes)
 
     def __call__(self, W: Matrix) -> Matrix:
-        return self.by_modes([lambda V, stream=stream: stream(V) for stream in self.of_modes], W)
+        return self.by_modes(self.of_modes, W)
 
     def by_modes(self, functions: Sequence[Callable[[Matrix], Matrix]], W: Matrix) -> Matrix:
         """Return layers of which each vertical mode is a function of that of given layers."""
