@@ -32,7 +32,7 @@ from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
-from coadjoint.systems.matrices.streams import FunctionStream, LayeredStream
+from coadjoint.systems.matrices.streams import FunctionStream
 from coadjoint.systems.system import System
 
 
@@ -232,7 +232,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     # The second kind of a `LayeredStream` is that of its vertical modes.
     kinds = codes("StreamKind")
     stream, second, linear, function = system.stream, system.second_stream, system.linear, None
-    inner = stream.of_modes[0] if isinstance(stream, LayeredStream) else second
+    inner = stream.of_modes[0] if system.independent_layers else second
     if isinstance(stream, FunctionStream):
         function = stream_function(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]

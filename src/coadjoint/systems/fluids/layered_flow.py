@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -218,10 +218,9 @@ class LayeredQG(StackedSystem):
 
     def _flow_of_mode(self, mode: Any) -> tuple[SphereQG, int]:
         k = read_integer(mode, "mode", 0, len(self._flows) - 1)
-        flow = self._flows[k]
-        if not isinstance(flow, SphereQG):
+        if self.surface != "sphere":
             raise ValueError("the torus does not rotate, and has no Rossby waves; take surface='sphere'")
-        return flow, k
+        return cast(SphereQG, self._flows[k]), k
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:

@@ -191,15 +191,15 @@ def layer_index(system: Any, layer: str | int) -> int:
     """Return the index of a layer in a state; raise an error if the system does not have it."""
     if system.independent_layers:
         count = system.matrix_shape[0]
-        if isinstance(layer, str) or layer >= count:
+        if layer in LAYERS or int(layer) >= count:
             raise ValueError(
                 f"layer is {layer!r}; {system.name} has the layers 0 to {count - 1}, and a force acts on one of them"
             )
-        return layer
-    if not isinstance(layer, str):
+        return int(layer)
+    if layer not in LAYERS:
         raise ValueError(f"layer is {layer}, and {system.name} has no layers of a fluid; give one of {LAYERS}")
     if len(system.matrix_shape) == 3:
-        return 1 - LAYERS.index(layer)
+        return 1 - LAYERS.index(str(layer))
     if layer != "vorticity":
         raise ValueError(f"layer is {layer!r}; {system.name} has one field, the vorticity")
     return 0
