@@ -301,6 +301,8 @@ def test_what_is_refused():
     ):
         with refused(ValueError, "layered_qg", *named):
             s.with_forces(force)
+    with refused(ValueError, "BetaPlane", "layers", "rotation"):
+        FLOWS["torus"].with_forces(some.BetaPlane(1.0))
     with refused(ValueError, "layer is 1", "sphere_euler"):
         s.fluid.with_forces(some.Friction(0.1, layer=1))
     with refused(ValueError, "(9, 9)", "(2, 9, 9)"):

@@ -208,6 +208,11 @@ class BetaPlane(ModeRates):
                 f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
                 "sphere_euler(rotation=...)"
             )
+        if system.independent_layers:
+            raise ValueError(
+                f"BetaPlane acts on a fluid of one layer, and {system.name} has layers; take them on the sphere, with "
+                "rotation="
+            )
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return 1j * self.beta * representatives(modes.N)[numbers] * modes.stream.on_modes(modes, d, numbers)
