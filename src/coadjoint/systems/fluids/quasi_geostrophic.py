@@ -266,7 +266,7 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
             momentum = read_number(momentum, "angular_momentum")
             if not self.integrals:
                 raise ValueError("the angular momentum is not constant, since the topography is not zonal; omit it")
-        lowest = self._lowest_eigenvalue(momentum is not None)
+        lowest = self._lowest_eigenvalue()  # that of a wave, which has no angular momentum
         # kappa + lowest, relative to lowest, from where waves are free to where the flow is almost at rest
         first, last = (bits * log(2.0) for bits in KAPPA_BITS)
 
@@ -307,19 +307,12 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         share = (momentum - sphere_states.momentum_along("z", q)) / sphere_states.momentum_along("z", added)
         return np.asarray(q + share * added)
 
-    def _lowest_eigenvalue(self, fixed: bool) -> float:
-        """Return the smallest eigenvalue of the inverse of minus the stream, for traceless changes of q.
-
-        With `fixed` these do not change the angular momentum.
-        """
+    def _lowest_eigenvalue(self) -> float:
+        """Return the smallest eigenvalue of the inverse of minus the stream, whose matrices have trace zero."""
         N = self.algebra.N
         columns = np.zeros((N, N, N), dtype=np.complex128)
         columns[np.arange(N), np.arange(N), np.arange(N)] = 1j
         zonal = np.diagonal(self.stream(columns), 0, -2, -1).imag
-        if fixed:
-            sine = np.diagonal(generators(N)[2]).imag
-            others = np.eye(N) - np.outer(sine, sine) / (sine @ sine)
-            zonal = others @ zonal @ others
         return float(min(-1.0 / np.linalg.eigvalsh(zonal)[0], self.stream.eigenmodes(1)[0][0]))
 
     def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
