@@ -1,5 +1,6 @@
 // The quadratic invariants of a state of matrices, at the cost of its stream: the energy, and tr W^2 of one matrix, tr
-// Theta^2 and tr W Theta of two fields, tr W^2 of each of independent layers; complex skew-Hermitian matrices count as -i W.
+// Theta^2 and tr W Theta of two fields, tr W^2 of each of independent layers; complex skew-Hermitian matrices count as
+// -i W.
 #pragma once
 
 #include <memory>
