@@ -25,6 +25,9 @@ x0 = system.state(
     angular_velocities=[[0.01, 0, 1], [0, 0, rate]],
 )""",
     "gyrostat": SPHERE.format(count=16, factor=""),
+    "layered_qg": """\
+jet = system.fluid.zonal_jet(band=(0.2, 1.2), perturbation=0.05)
+x0 = system.absolute([jet, 0 * jet])""",
     "lorenz_1960": SPHERE.format(count=14, factor="") + " * (1, 1, 0.5**0.5)",
     "matrix_body": """\
 x0 = np.zeros((5, 5))

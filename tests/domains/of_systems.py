@@ -190,6 +190,26 @@ OWN = {
         ),
     },
     "maxwell_bloch": {"coupling": positive()},
+    "layered_qg": {
+        "N": one_of(5, 3).plus(outside=(0, 1, 2, -3)).first(5, 3, 7, np.int64(7)),
+        "gamma": vector(((1.0, -1.0), (-1.0, 1.0)), real(), ((2.0, -1.0), (-1.0, 1.5)), np.zeros((2, 2))).plus(
+            outside=(np.zeros((1, 1)), np.ones((2, 3)), ((1.0, -1.0), (-2.0, 2.0)), ((-1.0, 1.0), (1.0, -1.0)))
+        ).but_called(r"\bgamma\b"),
+        "thicknesses": optional(vector((2.0, 2.0), positive())).first(None, (2.0, 2.0), [1e-30, 1e-30]).plus(
+            outside=((1.0, 2.0), (1.0, 1.0, 1.0))
+        ).but_called(r"\bthickness(es)?\b"),
+        "lamb": optional(vector(((1.0, -1.0), (-1.0, 1.0)), real())).first(None, ((1.0, -1.0), (-1.0, 1.0))).plus(
+            outside=(np.eye(3), ((1.0, 0.0), (0.0, 2.0)))
+        ).but_called(r"\blamb\b"),
+        "rotation": real(0.0),
+    },
+    "passive_scalar": {"rotation": real(0.0)},
+    "point_vortices": {
+        "circulations": vector((1.0, -0.5), real(), (2,), (1e-100, 1e100, 3), any_length=True).plus(
+            outside=((1.0, 0.0), (1e-101,), (1e101,), [[1.0]], np.ones(683))
+        ),
+        "surface": choice("plane", "sphere"),
+    },
     "rigid_molecules": {
         "sites": vector([[0.0, 0.0, 0.0], [0.08, 0.0, 0.06], [-0.08, 0.0, 0.06]], real()),
         "charges": vector((-0.8, 0.4, 0.4), real(), (0, 0, 0)),

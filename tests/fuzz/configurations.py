@@ -164,6 +164,7 @@ SMALL = {
     "sphere_qg": {"N": 5},
     "torus_qg": {"N": 5},
     "surface_qg": {"N": 3},
+    "layered_qg": {"N": 3},
     "reduced_mhd": {"N": 3},
     "passive_scalar": {"N": 3},
 }

@@ -77,7 +77,7 @@ struct MatrixOrbit {
 
     MatrixOrbit(const StepTables& tables, const MemberConstants&, const double* numbers)
         : size(tables.whole[0]), all(tables.whole[1] * size * size), n(all * int64_t(sizeof(T) / sizeof(double))),
-          skew(!tables.whole[GENERAL]), products(tables.whole[GEMM], size, tables.whole[1]),
+          skew(!tables.whole[GENERAL]), products(tables.whole[GEMM], size, tables.whole[1], layered(tables.whole)),
           stream(tables.whole, numbers), left(all), right(skew ? 0 : all), sums(2 * size), exponential(n) {}
 
     static int64_t stages(const StepTables& tables) { return tables.whole[STAGES]; }

@@ -288,8 +288,8 @@ class MatrixOrbit:
         return self._system.stream_of(W, t)
 
     def gradient_change(self, W: Any, dW: Any, t: Any) -> Any:
-        if has_layers(self._system):  # whose streams are linear, without a constant
-            return self._system.stream_of(dW, t)
+        if has_layers(self._system):  # whose streams are linear
+            return self._system.slope_of(dW, t)
         return slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:

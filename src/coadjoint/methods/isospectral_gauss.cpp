@@ -136,7 +136,10 @@ struct Stages final : Isospectral<T> {
                 for (int64_t k = 0; k < numbers; ++k) now[k] += factor * slope[k];
             }
             for (int64_t k = 0; k < numbers; ++k) now[k] *= h;
-            for (int64_t e = 0; e < square; e += n + 1) next[e] += 1.0;
+            // The unit of two layers has only the first one.
+            const int64_t units = this->stream.direct ? all : square;
+            for (int64_t first = 0; first < units; first += square)
+                for (int64_t e = 0; e < square; e += n + 1) next[first + e] += 1.0;
             double* old = numbers_of(to.data() + i * all);
             const double moved = largest_of(numbers, [=](int64_t k) { return now[k] - old[k]; });
             std::copy_n(now, numbers, old);

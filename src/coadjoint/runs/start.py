@@ -25,7 +25,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
 from coadjoint.systems.coordinates import coordinate_names, states_by_label
-from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate, unit_coordinate
+from coadjoint.systems.registry import check_units, has_units
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers, to_array
@@ -75,12 +75,11 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         return vectors_of(states_by_label(system, x0, "x0"), system)
     momenta, single = any_momenta_of(system, x0)
     if system.is_batch:
-        units = [unit_coordinate(one.unforced) for one in system.distinct]
-        for unit in {unit for unit in units if unit is not None}:
-            own = np.array([other == unit for other in units])
-            check_unit_coordinate(system.distinct[np.argmax(own)].unforced, momenta[own[system.owners]])
+        for k, one in enumerate(system.distinct):
+            if has_units(one.unforced):
+                check_units(one.unforced, momenta[system.owners == k])
     else:
-        check_unit_coordinate(system.unforced, momenta)
+        check_units(system.unforced, momenta)
     return momenta, single
 
 
@@ -119,7 +118,7 @@ def _held_hint(system: Any, momenta: NDArray[np.float64]) -> str:
 def vector_size(system: Any) -> int | None:
     """Return the dimension of a system of which any vector is a state, and that all members share; otherwise None."""
     is_other = system.is_batch or len(system.shape) > 1 or system.has_matrices
-    return None if is_other or has_unit_coordinate(system.unforced) else int(system.dim)
+    return None if is_other or has_units(system.unforced) else int(system.dim)
 
 
 def vectors_of(x0: Any, system: Any) -> tuple[NDArray[np.float64], bool]:

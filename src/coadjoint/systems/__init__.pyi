@@ -30,6 +30,8 @@ from coadjoint.systems.examples.paper_examples import separable_cosh as separabl
 from coadjoint.systems.fluids.carried_fields import passive_scalar as passive_scalar
 from coadjoint.systems.fluids.carried_fields import reduced_mhd as reduced_mhd
 from coadjoint.systems.fluids.decorated_particles import decorated_particles as decorated_particles
+from coadjoint.systems.fluids.layered_flow import layered_qg as layered_qg
+from coadjoint.systems.fluids.point_vortices import point_vortices as point_vortices
 from coadjoint.systems.fluids.quasi_geostrophic import sphere_qg as sphere_qg
 from coadjoint.systems.fluids.quasi_geostrophic import surface_qg as surface_qg
 from coadjoint.systems.fluids.quasi_geostrophic import torus_qg as torus_qg
@@ -77,6 +79,7 @@ __all__ = [
     "kirchhoff_body",
     "kovalevskaya_top",
     "lagrange_top",
+    "layered_qg",
     "lorenz_1960",
     "manakov_top",
     "matrix_body",
@@ -85,6 +88,7 @@ __all__ = [
     "paper_a37",
     "paper_rigid_body",
     "passive_scalar",
+    "point_vortices",
     "ready_made",
     "reduced_mhd",
     "riccati",

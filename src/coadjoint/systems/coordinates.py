@@ -82,7 +82,7 @@ def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str
 def kinds_of(system: Any) -> NDArray[np.str_] | None:
     """Return the kind of each coordinate, (dim,), by the layout of the system; None if all are momenta."""
     system = system.unforced
-    if len(getattr(system, "matrix_shape", ())) == 3:
+    if len(getattr(system, "matrix_shape", ())) == 3 and not system.independent_layers:
         # Two fields: the one that the flow carries, and the vorticity.
         return np.repeat(["carried field", "momentum"], system.dim // 2)
     declared = system.layout.get("coordinates")
@@ -106,7 +106,7 @@ def numberless(name: str) -> str:
 def rest_of(system: Any) -> NDArray[np.float64] | None:
     """Return the state of matrices at rest in the frame; None if it is zero, and for states that are vectors."""
     absolute = getattr(system, "absolute", None)
-    rest = None if absolute is None else np.asarray(absolute(np.zeros(system.algebra.shape)))
+    rest = None if absolute is None else np.asarray(absolute(np.zeros(system.matrix_shape)))
     return None if rest is None or not rest.any() else np.asarray(system.to_vector(rest))
 
 

@@ -61,7 +61,7 @@ class Picture:
     - ``"space-time"``: sites (needed), label (needed), across, centred, title
     - ``"sphere field"``: values (needed), at, view, label
     - ``"spins"``: at, seen
-    - ``"vorticity"``: at, part, projection, centre, limit
+    - ``"vorticity"``: at, part, projection, centre, limit, layer
 
     Examples
     --------

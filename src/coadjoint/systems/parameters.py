@@ -414,7 +414,8 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
 
         return Parameter(value, cache(cast(Any, partial(EnergyDifferences, name, value, moved))))
 
-    found = {name: real_numbers(given) for name, given in arguments.items()}
+    names = arguments if system.energy_parameters is None else system.energy_parameters
+    found = {name: real_numbers(arguments[name]) for name in names}
     return {name: parameter(name, value) for name, value in found.items() if value is not None}
 
 

@@ -41,7 +41,7 @@ class DeclaredEnergy(NamedTuple):
 _REGISTRY: dict[str, Callable[..., Any]] = {}
 _ENERGIES: dict[str, DeclaredEnergy] = {}
 _GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
-_UNITS: dict[str, str] = {}
+_UNITS: dict[str, tuple[str, ...]] = {}
 UNIT_TOLERANCE = 2.0**-40  # deviation of a coordinate from 1 that is taken for rounding, as of a mean of states
 
 
@@ -56,7 +56,7 @@ def ready_made(
     energy: Callable[..., Any] | None = None,
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
-    unit: str = "",
+    unit: str | tuple[str, ...] = (),
     coordinates: Mapping[str, tuple[str, str]] | None = None,
 ) -> Callable[[Builder], Builder]: ...
 
@@ -69,7 +69,7 @@ def ready_made(
     energy: Callable[..., Any] | None = None,
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
-    unit: str = "",
+    unit: str | tuple[str, ...] = (),
     coordinates: Mapping[str, tuple[str, str]] | None = None,
 ) -> Any:
     """Register a function that makes a system without forces, under its own name.
@@ -91,9 +91,9 @@ def ready_made(
         a polynomial. Its constants are analytic functions of the parameters.
     symmetric : tuple of str, optional
         Parameters that must be symmetric where they are matrices.
-    unit : str, optional
-        A Casimir that is a coordinate and must be 1 in every initial state, such as the central one beside canonical
-        pairs.
+    unit : str or tuple of str, optional
+        Casimirs that must be 1 in every initial state, where the system has them: the first one may be a coordinate,
+        such as the central one beside canonical pairs; others are squared lengths, ``"|x|^2"`` those of all copies.
     coordinates : mapping, optional
         Kind and unit of coordinates, by their names without numbers, see ``layout`` of `LiePoissonSystem`; by default
         all are momenta.
@@ -139,7 +139,7 @@ def ready_made(
         if energy is not None:
             _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric, potential)
         if unit:
-            _UNITS[wrapped.__name__] = unit
+            _UNITS[wrapped.__name__] = (unit,) if isinstance(unit, str) else unit
         return cast(Builder, wrapped)
 
     return register if function is None else register(function)
@@ -167,28 +167,36 @@ def energy_of(name: str) -> DeclaredEnergy | None:
     return _ENERGIES.get(name)
 
 
-def has_unit_coordinate(system: Any) -> bool:
-    """Return whether a coordinate of the states of this ready-made system must be 1."""
+def has_units(system: Any) -> bool:
+    """Return whether Casimirs of the states of this ready-made system must be 1."""
     return system.name in _UNITS
 
 
 def unit_coordinate(system: Any) -> int | None:
     """Return the number of the coordinate that must be 1 in every state of this ready-made system; None without one."""
-    casimir = system.casimirs.get(_UNITS[system.name]) if has_unit_coordinate(system) else None
+    casimir = system.casimirs.get(_UNITS[system.name][0]) if has_units(system) else None
     return None if casimir is None else int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
 
 
-def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
-    """Raise ValueError if a coordinate of states (..., n) must be 1 in this ready-made system, and is not."""
+def check_units(system: Any, states: npt.NDArray[np.float64]) -> None:
+    """Raise ValueError if a Casimir of states (..., n) must be 1 in this ready-made system, and is not."""
     coordinate = unit_coordinate(system)
-    if coordinate is None:
-        return
-    wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
-    if wrong.any():
-        raise ValueError(
-            f"x0[..., {coordinate}] is {states[..., coordinate][wrong].flat[0]:.15g}, and {_UNITS[system.name]} of "
-            f"{system.name} must be 1; set this coordinate, by which positions and momenta are canonical pairs, to 1"
-        )
+    if coordinate is not None:
+        wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
+        if wrong.any():
+            raise ValueError(
+                f"x0[..., {coordinate}] is {states[..., coordinate][wrong].flat[0]:.15g}, and "
+                f"{_UNITS[system.name][0]} of {system.name} must be 1; set this coordinate, by which positions and "
+                "momenta are canonical pairs, to 1"
+            )
+    for name in system.casimirs if len(_UNITS.get(system.name, ())) > 1 else ():
+        if name.partition(" [")[0] in _UNITS[system.name][1:]:
+            values = np.asarray(system.casimirs[name](states))
+            wrong = ~(np.abs(values - 1.0) <= UNIT_TOLERANCE)
+            if wrong.any():
+                raise ValueError(
+                    f"{name} of x0 is {values[wrong][0]:.15g}, and must be 1 in {system.name}; give unit vectors"
+                )
 
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:

@@ -103,6 +103,16 @@ def on_rotating_sphere(W, N, rotation):
     return rotation * (ahead - behind) / 2 + rotation**2 * ((ahead + behind) / 2 - still)
 
 
+def on_rotating_layers(X, N, gamma, thicknesses, lamb, rotation):
+    """As on a rotating sphere."""
+    energies = [
+        co.systems.layered_qg(N, *(np.array(one, dtype=float) for one in (gamma, thicknesses, lamb)), rate).energy(X)
+        for rate in (0.0, 1.0, -1.0)
+    ]
+    still, ahead, behind = energies
+    return rotation * (ahead - behind) / 2 + rotation**2 * ((ahead + behind) / 2 - still)
+
+
 def free_bodies(x, inertias, masses, potential, gradient, hessian):
     k = len(masses)
     spins = sum(body(x[12 * i : 12 * i + 3], inertias[i]) for i in range(k))
@@ -152,10 +162,16 @@ FORMULAS = {
     "decorated_particles": lumps,
     "matrix_body": of_matrix,
     "sphere_euler": on_rotating_sphere,
+    "layered_qg": lambda X, N, gamma, thicknesses, lamb, rotation, surface: on_rotating_layers(
+        X, N, gamma, thicknesses, lamb, rotation
+    ),
+    "passive_scalar": lambda X, N, surface, rotation: on_rotating_sphere(X[1], N, rotation),
 }
 VARIANTS = [
     *((name, {}) for name in co.systems.names()),
     ("sphere_euler", {"N": 5, "rotation": 0.5}),
+    ("passive_scalar", {"N": 5, "rotation": 0.5}),
+    ("layered_qg", {"N": 5, "rotation": 0.5}),
     ("rigid_body", {"inertia": TENSOR}),
     ("gyrostat", {"inertia": TENSOR}),
     ("body", {"inertia": TENSOR}),
@@ -192,9 +208,10 @@ PARAMETERS = {name: " ".join(list(inspect.signature(formula).parameters)[1:]) fo
     "bodies": "inertias masses", "body": "inertia", "clebsch_body": "inverse_mass",
     "decorated_particles": "weights external", "goryachev_chaplygin_top": "equatorial lever",
     "gravitating_bodies": "inertias masses G", "gyrostat": "inertia rotors", "heavy_top": "inertia lever",
+    "layered_qg": "rotation",
     "kirchhoff_body": "inertia mass coupling", "kovalevskaya_top": "equatorial lever",
     "lagrange_top": "equatorial axial lever", "manakov_top": "a b", "matrix_body": "inertia",
-    "maxwell_bloch": "coupling", "paper_a37": "masses", "paper_rigid_body": "masses",
+    "maxwell_bloch": "coupling", "paper_a37": "masses", "paper_rigid_body": "masses", "passive_scalar": "rotation",
     "riccati": "constant linear quadratic", "rigid_body": "inertia", "satellite_on_orbit": "inertia mean_motion",
     "sklyanin": "masses", "so_n_body": "inertia", "sphere_euler": "rotation",
     "sphere_qg": "lamb rotation gamma", "spin_lattice": "exchange tensor dm field on_site", "torus_qg": "gamma",

@@ -94,6 +94,8 @@ def start(system):
         x = state_of(system) if is_matrix(system) else np.cos(np.arange(1.0, system.dim + 1.0))
         if not is_matrix(system) and "z" in system.casimirs:  # positions and momenta are canonical where it is 1
             x[np.argmax(abs(system.casimirs["z"].gradient(0 * x)))] = 1.0
+        elif system.name == "point_vortices":  # on the sphere, at unit vectors
+            x = (x.reshape(-1, 3) / np.linalg.norm(x.reshape(-1, 3), axis=1, keepdims=True)).ravel()
         return x
     return np.array([start(one) for one in system])
 

@@ -112,8 +112,14 @@ OTHERS = {
     ("body", "wheels"): {"wheels": [[0.1, 0.0, 0.0]]},
     ("body", "gyros"): {"gyros": [[[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]]},
     ("sphere_euler", "rotation"): {"N": 4, "rotation": 0.75},
+    ("passive_scalar", "rotation"): {"N": 4, "rotation": 0.75},
+    ("layered_qg", "gamma"): {"N": 5, "gamma": ((2.0, -1.0), (-1.0, 1.0))},
+    ("layered_qg", "thicknesses"): {"N": 5, "thicknesses": (2.0, 2.0)},
+    ("layered_qg", "lamb"): {"N": 5, "lamb": ((2.0, -2.0), (-2.0, 2.0))},
+    ("layered_qg", "rotation"): {"N": 5, "rotation": 0.75},
+    ("point_vortices", "surface"): {"surface": "sphere"},
 }  # fmt: skip
-OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar")}
+OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar", "layered_qg")}
 SIZED = {
     "sphere_euler": 4,
     "torus_euler": 5,
@@ -122,6 +128,7 @@ SIZED = {
     "sphere_qg": 4,
     "torus_qg": 5,
     "surface_qg": 4,
+    "layered_qg": 5,
 }
 
 

@@ -20,10 +20,12 @@ FIXED = {
     "clebsch_body", "double_spherical_pendulum", "fluid_triad", "goryachev_chaplygin_top", "gyrostat", "heavy_top",
     "kirchhoff_body", "kovalevskaya_top", "lagrange_top", "lorenz_1960", "maxwell_bloch", "paper_a37",
     "paper_rigid_body", "passive_scalar", "reduced_mhd", "riccati", "rigid_body", "satellite", "satellite_on_orbit",
-    "separable_cosh", "sklyanin", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
+    "layered_qg", "separable_cosh", "sklyanin", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
 }  # fmt: skip
 # Their states are matrices.
-FLUIDS = {"passive_scalar", "reduced_mhd", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg"}
+FLUIDS = {
+    "layered_qg", "passive_scalar", "reduced_mhd", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
+}  # fmt: skip
 
 
 def inertias(count: int) -> list[tuple[float, ...]]:
@@ -45,6 +47,7 @@ MADE: dict[str, Callable[[int], Any]] = {
     "gravitating_bodies": lambda count: S.gravitating_bodies(inertias(count), masses(count)),
     "manakov_top": lambda count: S.manakov_top(np.arange(count + 2.0), np.arange(count + 2.0) ** 2),
     "matrix_body": lambda count: S.matrix_body(masses(count + 1)),
+    "point_vortices": lambda count: S.point_vortices(masses(count)),
     "rigid_molecules": lambda count: S.rigid_molecules(count=count),
     "so_n_body": lambda count: S.so_n_body(masses(count + 2)),
     "spin_lattice": lambda count: S.spin_lattice("chain", count, periodic=False),
@@ -100,6 +103,7 @@ LINES: dict[str, Callable[[np.ndarray, int], Any]] = {
     "matrix_body": lambda x, count: [
         x.reshape(-1, count + 1, count + 1)[:, i, j] for i, j in zip(*np.triu_indices(count + 1, 1), strict=True)
     ][:8],
+    "point_vortices": lambda x, count: [x[:, i] for i in range(min(2 * count, 4))],
     "rigid_molecules": lambda x, count: distances(x, count) or evenly(x, count),
     "so_n_body": evenly,
     "spin_lattice": lambda x, count: dict(zip(("S1", "S2", "S3"), x.reshape(-1, count, 3).mean(axis=1).T, strict=True)),

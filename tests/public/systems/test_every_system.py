@@ -17,6 +17,7 @@ FULL = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])
 FIELDS = np.array([[0.0, 0.0, 0.5], [1.0, -0.5, 0.25], [0.0, 0.0, 0.0]])
 FLUIDS = (
     "sphere_euler", "torus_euler", "sphere_qg", "torus_qg", "surface_qg", "reduced_mhd", "passive_scalar",
+    "layered_qg",
 )  # fmt: skip
 SMALL = {name: {"N": 5} for name in FLUIDS}
 
@@ -55,6 +56,9 @@ SOLVED = {
     "moments, repelled": (S.vlasov_moments(4, "-0.3*x20"), 0),
     "moments, free": (S.vlasov_moments(2, "0"), 0),
     "satellite": (S.satellite((0.7, 0.7, 0.7), 1.5, 0.8), 0),
+    "vortices": (S.point_vortices((1.0, 2.5)), 0),
+    "opposite vortices": (S.point_vortices((-1.0, 1.0)), 0),
+    "vortices on a sphere": (S.point_vortices((-1.0, 2.5), "sphere"), 0),
 }
 OTHERS = {
     "heavy top, full": S.heavy_top(FULL, (0.3, -0.4, 0.8)),
@@ -96,7 +100,13 @@ OTHERS = {
     "open chain": S.toda(5),
     "ring": S.toda_ring(5),
     "rotating sphere": S.sphere_euler(5, 0.7),
+    "four vortices": S.point_vortices((-1.0, 2.5, 0.3, 1.0), "sphere"),
     "planet": S.sphere_qg(5, 12.0, 0.7, {(2, 1): 0.2 - 0.1j, (1, 0): 0.1}, 1.5),
+    "three layers": S.layered_qg(
+        5, [[3, -3, 0], [-1.5, 2, -0.5], [0, -0.25, 0.5]], (1.0, 2.0, 4.0), lamb=np.eye(3), rotation=0.7
+    ),
+    "layers on a torus": S.layered_qg(5, [[2.0, -1.0], [-2.0, 1.5]], (2.0, 1.0), surface="torus"),
+    "dye on a planet": S.passive_scalar(5, rotation=0.7),
     "basin": S.torus_qg(5, 1.5, {(1, 2): 0.2 - 0.1j}),
     "surface of a torus": S.surface_qg(5, "torus"),
     "field on a torus": S.reduced_mhd(5, "torus"),

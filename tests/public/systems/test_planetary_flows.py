@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize
 from scipy.special import elliprd, eval_legendre, pro_cv, sph_harm_y
 
 import coadjoint as co
@@ -548,3 +549,38 @@ def test_the_components_of_angular_momentum_that_are_constant(parameters, axes):
     assert list(s.integrals) == [f"angular momentum {axis}" for axis in axes]
     for integral in s.integrals.values():
         assert abs(integral(field)) < ROUNDED * np.abs(field).max()
+
+
+@pytest.mark.parametrize("topography", [None, {(3, 0): 0.1}])
+def test_the_least_enstrophy_of_an_energy_and_an_angular_momentum(topography):
+    """The minimum over zonal states by sequential quadratic programming; other momenta need more enstrophy."""
+    s = S.sphere_qg(8, 10.0, 2.0, topography)
+    momentum = s.integrals["angular momentum z"]
+    free = s.minimum_enstrophy(0.01)
+    wanted = momentum(free) - 0.1
+    W = s.minimum_enstrophy(0.013, wanted)
+    assert s.energy(W) == pytest.approx(0.013, rel=1e-12)
+    assert momentum(W) == pytest.approx(wanted, rel=1e-13)
+    assert np.abs(s.vector_field(W)).max() < 1e-12 * np.abs(W).max()
+
+    def state(c):
+        return s.planetary + s.from_modes({(l, 0): one for l, one in enumerate(c, 1)}, absolute=True)
+
+    unit = np.sum(np.abs(W) ** 2)
+    constraints = [
+        {"type": "eq", "fun": lambda c: 100 * (s.energy(state(c)) - 0.013)},
+        {"type": "eq", "fun": lambda c: momentum(state(c)) - wanted},
+    ]
+    starts = np.random.default_rng(3).standard_normal((4, 7))
+    found = [
+        minimize(lambda c: np.sum(np.abs(state(c)) ** 2) / unit, 0.1 * c, method="SLSQP", constraints=constraints,
+                 options={"ftol": 1e-14, "maxiter": 500})
+        for c in starts
+    ]  # fmt: skip
+    assert min(one.fun for one in found if one.success) == pytest.approx(1.0, abs=1e-8)
+    again = s.minimum_enstrophy(0.01, momentum(free))
+    assert np.abs(again - free).max() < 1e-9 * np.abs(free).max()
+    with refused(ValueError, "energy is 5", "angular momentum"):
+        s.minimum_enstrophy(5.0, wanted)
+    with refused(ValueError, "angular momentum", "zonal"):
+        PLANET.minimum_enstrophy(0.01, 0.1)

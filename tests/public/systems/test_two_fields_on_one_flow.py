@@ -56,6 +56,37 @@ def test_the_casimirs_that_there_are():
     assert np.ptp(square) > 0.1 * square[0]  # the field acts back
 
 
+def test_a_dye_in_a_rotating_frame(tmp_path):
+    """The vorticity moves as that of the rotating sphere, with every force, and the dye as the absolute vorticity."""
+    s, fluid = co.systems.passive_scalar(8, rotation=2.0), co.systems.sphere_euler(8, 2.0)
+    W = fluid.random(seed=3)
+    X = np.stack([W, W])
+    np.testing.assert_array_equal(s.absolute(s.relative(X)), X)
+    np.testing.assert_array_equal(s.relative(X)[1], np.asarray(fluid.relative(W)))
+    assert s.energy(X) == fluid.energy(W)
+    scheme, some = co.IsospectralGauss(2), co.forces
+    sol = co.integrate(s, X, (0.5, 1.5), 0.0625, scheme, archive=tmp_path / "dye.zarr")
+    np.testing.assert_allclose(sol.x[:, 0], sol.x[:, 1], rtol=0, atol=1e-13)
+    assert max(sol.drift()[name] for name in s.casimirs) < 1e-13 * np.linalg.norm(W) ** 6
+    again = co.load(tmp_path / "dye.zarr")
+    assert again.system.parameters == s.parameters
+    np.testing.assert_array_equal(again.system.vector_field(X), s.vector_field(X))
+    for force in (
+        some.Friction(0.3),
+        some.SelectiveDecay(0.3),
+        some.LinearDamping(0.2),
+        some.RandomForcing(0.1, (1, 2), 3),
+        some.TransportNoise((1, 2), 0.3, seed=3),
+        some.DoubleBracketDamping(0.1),
+    ):
+        both = co.integrate(s.with_forces(force), X, (0.5, 1.0), 0.0625, scheme)
+        alone = co.integrate(fluid.with_forces(force), W, (0.5, 1.0), 0.0625, scheme)
+        np.testing.assert_allclose(both.x[:, 1], alone.x, rtol=0, atol=1e-13, err_msg=str(force))
+        assert both.balance()["energy"] < 1e-6
+    with refused(ValueError, "rotation", "torus", "BetaPlane"):
+        co.systems.passive_scalar(5, "torus", rotation=1.0)
+
+
 @pytest.mark.parametrize("s", DYED)
 def test_a_dye_that_is_the_vorticity_stays_it(s):
     W = random_state(s)[1]

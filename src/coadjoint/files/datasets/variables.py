@@ -294,9 +294,13 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
         return {}, {}
     shape = None if grid is None or grid is True else grid
     rows, columns = fluid.grid(shape)
-    dims = ("time", *_member(solution))
-    shown: dict[str, Any] = fluid.shown_fields
-    two = solution.x.ndim == len(dims) + 3
+    dims: tuple[str, ...] = ("time", *_member(solution))
+    system: Any = solution.system.unforced
+    layered = system.independent_layers
+    owner = system if layered else fluid
+    shown: dict[str, Any] = owner.shown_fields
+    two = solution.x.ndim == len(dims) + 3 and not layered
+    dims = (*dims, "layer") if layered else dims
     if two:
         shown = {"carried": (CARRIED_FIELD, fluid.matrices, 0.0), **shown}
     size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(shown)
@@ -305,12 +309,12 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     axes = ("latitude", "longitude") if on_sphere else ("eastward", "northward")
     found: Variables = {}
     for name, (long_name, matrices_of, mean) in shown.items():
-        W = fluid.matrices(solution.x[..., int(name != "carried"), :, :] if two else solution.x)
-        values = _on_grid(matrices_of(W), lambda finite: fluid.to_grid(finite, shape, absolute=True))
+        W = solution.x[..., int(name != "carried"), :, :] if two else solution.x
+        values = _on_grid(matrices_of(owner.matrices(W)), lambda finite: fluid.to_grid(finite, shape, absolute=True))
         found[name] = ((*dims, *axes), values + mean, cf_attributes(long_name))
     if grid is not None:
-        W = solution.x[..., 1, :, :] if two else solution.x
-        both = _on_grid(fluid.matrices(W), lambda finite: np.stack(fluid.velocity(finite, shape), axis=1))
+        W = system.relative(solution.x) if layered else fluid.matrices(solution.x[..., 1, :, :] if two else solution.x)
+        both = _on_grid(W, lambda finite: np.stack(fluid.velocity(finite, shape), axis=1))
         for k, (name, (long_name, _)) in enumerate(VELOCITIES.items()):
             found[name] = ((*dims, *axes), both[..., k, :, :], cf_attributes(long_name))
     return found, _coordinates(on_sphere, rows, columns)
@@ -326,7 +330,8 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
     import xarray
 
     fluid = _fluid_of(solution.system)
-    shown = () if fluid is None else fluid.shown_fields
+    system: Any = solution.system
+    shown = () if fluid is None else (system.unforced if system.unforced.independent_layers else fluid).shown_fields
     names = (*shown, *VELOCITIES, "carried", "latitude", "longitude", "eastward", "northward")
     rest = dataset.drop_vars(names, errors="ignore")
     found, coordinates = vorticity_variables(solution, grid)

@@ -225,7 +225,7 @@ class _ForceTableBuilder:
             int(system.complex),
             NO_NUMBERS,
             NO_NUMBERS,
-            np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64),
+            np.array([_product_of(system), _layers_of(system), levels], dtype=np.int64),
             amplitude=float(commuting),
             seed=seed,
             stream=stream,
@@ -238,7 +238,7 @@ class _ForceTableBuilder:
     def mode_transport(
         self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
     ) -> ForceTable:
-        function = np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64)
+        function = np.array([_product_of(system), _layers_of(system), levels], dtype=np.int64)
         table = self._on_modes("MODE_TRANSPORT", modes, 0, numbers, np.concatenate(amplitudes), NO_NUMBERS)
         return table._replace(function=function, seed=seed, stream=stream)
 
@@ -247,6 +247,8 @@ class _ForceTableBuilder:
             return self._table("SELECTIVE_DECAY", rate)
         integers, numbers, self.keepalive = stream_tables(system)
         layers, integers[1] = integers[1], 1
+        if system.linear is not None:  # that of the vorticity comes first
+            del numbers[system.dim // layers : system.dim]
         integers += [_product_of(system), int(system.complex)]
         return self._table(
             "SELECTIVE_DECAY",
@@ -279,6 +281,11 @@ class _ForceTableBuilder:
         self.called = function
         if self._compiles:
             self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
+
+
+def _layers_of(system: Any) -> int:
+    """Return the number of matrices of a state."""
+    return system.matrix_shape[0] if len(system.matrix_shape) == 3 else 1
 
 
 def _product_of(system: Any) -> int:

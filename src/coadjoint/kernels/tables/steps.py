@@ -229,18 +229,20 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     """Return integers (size, layers, kinds of both streams or -1, whether `linear` exists, address of a function),
     numbers (the constant, the tables of the maps) and owners of functions of a stream.
     """
+    # The second kind of a `LayeredStream` is that of its vertical modes.
     kinds = codes("StreamKind")
     stream, second, linear, function = system.stream, system.second_stream, system.linear, None
+    inner = stream.of_modes[0] if system.independent_layers else second
     if isinstance(stream, FunctionStream):
         function = stream_function(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [stream_map.table for stream_map in (stream, second) if stream_map is not None]
-    layers = 2 if len(system.matrix_shape) == 3 else 1
+    layers = system.matrix_shape[0] if len(system.matrix_shape) == 3 else 1
     integers = [
         system.algebra.N,
         layers,
         kinds[stream.kind],
-        -1 if second is None else kinds[second.kind],
+        -1 if inner is None else kinds[inner.kind],
         int(linear is not None),
         int(function.address) if function else 0,
     ]

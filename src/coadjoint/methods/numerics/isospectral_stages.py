@@ -1,7 +1,7 @@
 """Isospectral Gauss steps in NumPy, with derivatives: the reference for the compiled steps.
 
 ``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` (U_i = V_i* for skew-Hermitian W) are inverse
-at the end of a step, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``. Two layers are (2, N, N); inner products are real.
+at the end of a step, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``. Layers are (k, N, N); inner products are real.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class Stages(NamedTuple):
 
 
 def has_layers(system: MatrixSystem) -> bool:
-    """Return whether states have two layers."""
+    """Return whether states have layers."""
     return len(system.matrix_shape) == 3
 
 
 def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, scheme_name: str) -> Stages:
     """Return the stages of a step of length h from a state W at time t, with coefficients a (s, s)."""
     if has_layers(system):
-        return two_layer_stages(system, W, t, h, a)
+        return stages_of_layers(system, W, t, h, a)
     identity, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
 
@@ -73,7 +73,7 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
 def increment_of(system: MatrixSystem, stages: Stages, h: float, b: Floats) -> Matrix:
     """Return the change of the state in the step."""
     change = _in_stages(stages, h, b)
-    return of_blocks(change) if has_layers(system) else change
+    return of_blocks(system, change) if has_layers(system) else change
 
 
 def _in_stages(stages: Stages, h: float, b: Floats) -> Matrix:
@@ -117,25 +117,33 @@ def iterated(update: Callable[..., Any], start: Any, N: int, failure: str, t: fl
     raise IntegrationError(failure, step=1, time=float(t), residual=float(change))
 
 
-def as_blocks(X: Matrix) -> Matrix:
-    """Return A + eps B, given as (..., 2, N, N), as ``[[A, B], [0, A]]``: products are those of dual numbers."""
-    A, B = X[..., 0, :, :], X[..., 1, :, :]
+def as_blocks(system: MatrixSystem, X: Matrix) -> Matrix:
+    """Return layers (..., k, N, N) as one matrix, with their products: block-diagonal, or [[A, B], [0, A]]."""
+    if system.independent_layers:
+        k, N = X.shape[-3:-1]
+        blocks = np.zeros((*X.shape[:-3], k * N, k * N), dtype=X.dtype)
+        for l in range(k):
+            blocks[..., l * N : (l + 1) * N, l * N : (l + 1) * N] = X[..., l, :, :]
+        return blocks
+    A, B = X[..., 0, :, :], X[..., 1, :, :]  # of A + eps B, products of dual numbers
     rows = np.concatenate([A, B], axis=-1), np.concatenate([np.zeros_like(A), A], axis=-1)
     return np.concatenate(rows, axis=-2)
 
 
-def of_blocks(A: Matrix) -> Matrix:
-    """Return the two layers (..., 2, N, N): the inverse of `as_blocks`."""
-    N = A.shape[-1] // 2
-    return np.stack([A[..., :N, :N], A[..., :N, N:]], axis=-3)
+def of_blocks(system: MatrixSystem, A: Matrix) -> Matrix:
+    """Return the layers (..., k, N, N): the inverse of `as_blocks`."""
+    k, N, _ = system.matrix_shape
+    rows = range(k) if system.independent_layers else (0, 0)
+    return np.stack([A[..., i * N : (i + 1) * N, l * N : (l + 1) * N] for l, i in enumerate(rows)], axis=-3)
 
 
-def two_layer_stages(system: MatrixSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64]) -> Stages:
-    """Return the stages, in blocks, of a step of a state (2, N, N); IntegrationError if they do not converge."""
-    W, identity = as_blocks(X), np.eye(2 * len(X[0]))
+def stages_of_layers(system: MatrixSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64]) -> Stages:
+    """Return the stages, in blocks, of a step of a state (k, N, N); IntegrationError if they do not converge."""
+    W = as_blocks(system, X)
+    identity = np.eye(len(W))
 
     def stream(M: Matrix) -> Matrix:
-        return as_blocks(system.stream_of(of_blocks(M)))
+        return as_blocks(system, system.stream_of(of_blocks(system, M)))
 
     Y = [stream(W) for _ in a]
     M, previous, change = [W for _ in a], np.inf, np.inf
@@ -176,26 +184,29 @@ def linearized_step(
 ) -> LinearizedStep:
     """Return the step of these stages from a state W with its derivative, projected on the algebra."""
     layers = has_layers(system)
-    of_state = as_blocks(W) if layers else W
+    of_state = as_blocks(system, W) if layers else W
 
     def tangents(rows: Floats) -> Floats:
         directions = system.algebra.projected(system.from_vector(rows))
-        after = _along(system, of_state, stages, as_blocks(directions) if layers else directions, t, h, a, b)
-        return system.to_vector(of_blocks(after) if layers else after)
+        directions = as_blocks(system, directions) if layers else directions
+        after = _along(system, of_state, stages, directions, t, h, a, b)
+        return system.to_vector(of_blocks(system, after) if layers else after)
 
     def cotangent(row: Floats) -> Floats:
         after = system.from_vector(row)
-        before = _transposed(system, of_state, stages, _of_blocks_transposed(after) if layers else after, t, h, a, b)
-        return system.to_vector(system.algebra.projected(_as_blocks_transposed(before) if layers else before))
+        after = _of_blocks_transposed(system, after) if layers else after
+        before = _transposed(system, of_state, stages, after, t, h, a, b)
+        return system.to_vector(system.algebra.projected(_as_blocks_transposed(system, before) if layers else before))
 
-    end = of_blocks(of_state + _in_stages(stages, h, b)) if layers else W + _in_stages(stages, h, b)
+    end = of_state + _in_stages(stages, h, b)
+    end = of_blocks(system, end) if layers else end
     return LinearizedStep(system.to_vector(end), tangents, cotangent)
 
 
 def _slopes(system: MatrixSystem, stages: Stages, along: Matrix) -> Matrix:
     """Return the derivatives of the streams of the stages along matrices (stages, k, N, N)."""
     if has_layers(system):
-        return as_blocks(system.stream_of(of_blocks(along)))
+        return as_blocks(system, system.slope_of(of_blocks(system, along)))
     return np.stack([slope_along(system, *one) for one in zip(stages.M, along, stages.times, strict=True)])
 
 
@@ -203,10 +214,8 @@ def _slopes_transposed(system: MatrixSystem, stages: Stages, of_streams: Matrix)
     """Return the cotangents of the stages for those of their streams, (stages, N, N)."""
     algebra = system.algebra
     if has_layers(system):
-        layers = _as_blocks_transposed(of_streams)
-        layers = (layers - _adjoint(layers)) / 2
-        # The stream takes the vorticity to P and the carried field to J.
-        return _of_blocks_transposed(system.stream_of(layers[..., ::-1, :, :])[..., ::-1, :, :])
+        layers = _as_blocks_transposed(system, of_streams)
+        return _of_blocks_transposed(system, system.slope_transposed((layers - _adjoint(layers)) / 2))
     if system.stream.kind != "BY_FUNCTION":
         # Symmetric for all matrices that are skew-Hermitian if the algebra is: the stages have a trace.
         return np.asarray(system.slope_of((of_streams - _adjoint(of_streams)) / 2 if algebra.skew else of_streams))
@@ -263,13 +272,17 @@ def _transposed(
     return np.asarray(after + np.sum(Vt @ m @ Ut, axis=0))
 
 
-def _as_blocks_transposed(of_blocks: Matrix) -> Matrix:
-    N = of_blocks.shape[-1] // 2
-    A, B = of_blocks[..., :N, :N] + of_blocks[..., N:, N:], of_blocks[..., :N, N:]
+def _as_blocks_transposed(system: MatrixSystem, blocks: Matrix) -> Matrix:
+    if system.independent_layers:
+        return of_blocks(system, blocks)
+    N = blocks.shape[-1] // 2
+    A, B = blocks[..., :N, :N] + blocks[..., N:, N:], blocks[..., :N, N:]
     return np.stack([A, B], axis=-3)
 
 
-def _of_blocks_transposed(of_layers: Matrix) -> Matrix:
+def _of_blocks_transposed(system: MatrixSystem, of_layers: Matrix) -> Matrix:
+    if system.independent_layers:
+        return as_blocks(system, of_layers)
     A, B = of_layers[..., 0, :, :], of_layers[..., 1, :, :]
     rows = np.concatenate([A, B], axis=-1)
     return np.concatenate([rows, np.zeros_like(rows)], axis=-2)

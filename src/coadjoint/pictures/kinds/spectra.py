@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,16 @@ def vorticity_of(state: Any) -> npt.NDArray[Any]:
     return W[1] if W.ndim == 3 else W
 
 
+def spectrum_of(system: Any, spectrum: Callable[[Any], Any], state: Any) -> tuple[Floats, Floats]:
+    """Return scales and the spectrum of a vorticity, summed over layers of a fluid by their thicknesses."""
+    if not system.independent_layers:
+        scales, values = spectrum(vorticity_of(state))
+    else:
+        scales, of_layers = spectrum(system.relative(state))
+        values = system.thicknesses @ of_layers
+    return np.asarray(scales, dtype=np.float64), np.asarray(values, dtype=np.float64)
+
+
 @kind("field spectra", low=True)
 def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show energy and enstrophy of the first member over the degree on the sphere, or wave number on the torus.
@@ -56,7 +67,7 @@ def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
     fluid, k = fluid_of(drawn), drawn.index_at(at)
     spectra = {"energy": fluid.energy_spectrum, "enstrophy": fluid.enstrophy_spectrum}
     points = {
-        (name, j): [np.asarray(values, dtype=np.float64) for values in spectrum(vorticity_of(drawn.state(j)))]
+        (name, j): spectrum_of(drawn.unforced, spectrum, drawn.state(j))
         for name, spectrum in spectra.items()
         for j in dict.fromkeys((k, 0))
     }
@@ -90,9 +101,9 @@ def energy_by_scale(drawn: PlottedRun) -> Paint:
     """
     fluid = fluid_of(drawn)
     times = spread(len(drawn.t), MAX_TIMES)
-    spectra = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
-    scales = np.asarray(spectra[0][0])
-    energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in spectra])
+    spectra = [spectrum_of(drawn.unforced, fluid.energy_spectrum, drawn.state(int(k))) for k in times]
+    scales = spectra[0][0]
+    energies = np.stack([values for _, values in spectra])
     total = energies.sum(axis=1, keepdims=True)
     # Failed members leave gaps; a fluid at rest has no shares.
     shares = np.divide(energies, total, out=0.0 * energies, where=total > 0.0)
@@ -113,7 +124,7 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
 
     For a skew-Hermitian W, the eigenvalues of -i W are drawn in ascending order, otherwise those of W in the complex
     plane. For a fluid they are the distribution of absolute vorticity over area. For two fields, the matrix is the
-    carried one.
+    carried one; of layers all eigenvalues are shown.
 
     Parameters
     ----------
@@ -125,10 +136,13 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     k = drawn.index_at(at)
     if not np.isfinite(drawn.x[0, k]).all():
         raise CannotShow(f"the first member has failed before t = {drawn.t[k]:g}, and has no eigenvalues there")
-    first, last = (drawn.unforced.spectrum(drawn.state(j)) for j in (0, k))
+    first, last = (np.asarray(drawn.unforced.spectrum(drawn.state(j))) for j in (0, k))
+    if first.ndim == 2:
+        first, last = np.sort(first.ravel()), np.sort(last.ravel())
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
-    name = r"\Theta" if len(drawn.unforced.matrix_shape) == 3 else "W"
+    two = len(drawn.unforced.matrix_shape) == 3 and not drawn.unforced.independent_layers
+    name = r"\Theta" if two else "W"
     fraction = (np.arange(len(first)) + 0.5) / len(first)
 
     def paint(axes: Any) -> None:

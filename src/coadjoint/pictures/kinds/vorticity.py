@@ -15,7 +15,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
-from coadjoint.validation import read_choice, read_number, read_positive
+from coadjoint.validation import read_choice, read_integer, read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
 
@@ -53,6 +53,7 @@ def vorticity(
     projection: str = "mollweide",
     centre: tuple[float, float] = (0.0, 0.0),
     limit: float | None = None,
+    layer: int = 0,
 ) -> Paint:
     """Show the vorticity of a quantized fluid, relative to its frame, at one time, for the first member.
 
@@ -71,20 +72,27 @@ def vorticity(
         Longitude and latitude of the centre of the map, in degrees.
     limit : float, optional
         Largest absolute value of the colour scale; by default it covers start, end and this time.
+    layer : int
+        Number of the layer of a fluid that has several, from 0, the uppermost one.
     """
-    fluid = fluid_of(drawn)
+    fluid, system = fluid_of(drawn), drawn.unforced
+    count = system.shape[0] if system.independent_layers else 1
+    if not 0 <= read_integer(layer, "layer", 0) < count:
+        raise CannotShow(f"layer is {layer}; {system.name} has {count} from 0")
     part = read_choice(part, "part of the vorticity", PART_TITLES)
     across = PROJECTIONS[read_choice(projection, "projection", PROJECTIONS)]
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
-    if part == "carried" and len(drawn.unforced.shape) != 3:
+    if part == "carried" and (len(system.shape) != 3 or system.independent_layers):
         raise CannotShow(f"{drawn.unforced.name} carries no second field; reduced_mhd and passive_scalar do")
-    if part == "potential" and "potential_vorticity" not in fluid.shown_fields:
+    owner = system if system.independent_layers else fluid
+    if part == "potential" and "potential_vorticity" not in owner.shown_fields:
         raise CannotShow(f"{drawn.unforced.name} has no potential vorticity; sphere_qg and torus_qg have")
-    title = PART_TITLES[part].format(next(iter(fluid.shown_fields)))
+    title = PART_TITLES[part].format(next(iter(owner.shown_fields)))
+    title += f", layer {layer}" if count > 1 else ""
     surface, k = fluid.surface, drawn.index_at(at)
 
     def on_fluid_grid(system: Any, state: Any) -> Floats:
-        return part_on_grid(fluid, state, part, _shape(fluid.algebra.N, surface))
+        return part_on_grid(system, fluid, state, part, layer, _shape(fluid.algebra.N, surface))
 
     first, largest = drawn.evaluate(on_fluid_grid, k)
     size = largest if limit is None else read_positive(limit, "limit")
@@ -104,8 +112,15 @@ def vorticity(
     return paint
 
 
-def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, int]) -> Floats:
+def part_on_grid(system: Any, fluid: FluidSystem, state: Any, part: str, layer: int, shape: tuple[int, int]) -> Floats:
     """Evaluate a part of the vorticity, the stream function or the carried field of a state on a grid."""
+    if system.independent_layers:
+        fields = {"potential": system.matrices, "stream": system.stream_of}
+        shown = fields.get(part, system.relative)(state)[layer]
+        if part in ("large", "small"):
+            large = large_scales(system.stream_of(state)[layer], shown)
+            shown = large if part == "large" else shown - large
+        return fluid.to_grid(shown, shape, absolute=True)
     if part == "carried":
         # Of constant spectrum: the first of two fields.
         return fluid.to_grid(np.asarray(state)[0], shape, absolute=True)

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.short_repr import short
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
-from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
+from coadjoint.systems.matrices.matrix_invariants import traces_of
+from coadjoint.systems.matrices.matrix_system import POWERS
+from coadjoint.systems.matrices.stacked_system import StackedSystem
 from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice, set_fields, to_array
+from coadjoint.validation import read_choice, read_number, set_fields
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-SURFACES: dict[str, Callable[..., FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 PICTURES: dict[str, Any] = {
     "pictures": (Picture("vorticity", at=1.0), Picture("vorticity", part="carried", at=1.0), Picture("eigenvalues")),
     "components": Picture("energy by scale"),
@@ -33,7 +32,7 @@ PICTURES: dict[str, Any] = {
 
 
 @suggest_keywords
-class TwoLayerSystem(MatrixSystem):
+class TwoLayerSystem(StackedSystem):
     """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
 
     P = stream(W) and J = second_stream(Theta), or zero if the field is passive. A state is an array (2, N, N),
@@ -85,8 +84,7 @@ class TwoLayerSystem(MatrixSystem):
         powers: int = POWERS,
     ) -> None:
         super().__init__(algebra, stream, energy_sign=energy_sign, name=name, parameters=parameters, powers=powers)
-        if not algebra.skew or algebra.blocks:
-            raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices of one block")
+        self._stack(algebra, 2)
         traces = traces_of(algebra, self.powers, self.matrices, self.to_vector)
         self._followed = tuple(trace.power for trace in traces.values() if trace.power > 1)
         self.second_stream = None if second_stream is None else as_stream(second_stream, algebra, "second_stream")
@@ -95,15 +93,31 @@ class TwoLayerSystem(MatrixSystem):
                 raise TypeError(f"{what} is a function; two layers need a Stream, such as Weights(w)")
         if self.second_stream is not None:
             self._check_stream(self.second_stream)
-        shape = (2, *algebra.shape)
-        set_fields(self, shape=shape, matrix_shape=shape, dim=2 * self.dim)
-        set_fields(self, hamiltonian=MatrixEnergy(self))
 
+    layer_names = "the carried field and the vorticity"
     _fluid: Any = None
 
     @property
     def fluid(self) -> Any:
         return self._fluid
+
+    def relative(self, x: Any) -> Matrix:
+        """Return the carried field and the vorticity relative to the frame, of states (..., 2, N, N)."""
+        return self._in_frame(x, "relative")
+
+    def absolute(self, X: Any) -> Matrix:
+        """Return the states of a carried field and a vorticity relative to the frame; inverse of `relative`."""
+        return self._in_frame(X, "absolute")
+
+    def _in_frame(self, x: Any, conversion: str) -> Matrix:
+        X = np.array(self.matrices(x))
+        if self.linear is not None:
+            X[..., 1, :, :] = getattr(self._fluid, conversion)(X[..., 1, :, :])
+        return X
+
+    def energy(self, x: Any, t: float = 0.0) -> Any:
+        """Return the energy of states (..., 2, N, N), that of the motion relative to the frame."""
+        return super().energy(x, t) if self.linear is None else self._fluid.energy(self.matrices(x)[..., 1, :, :], t)
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:
@@ -147,6 +161,9 @@ class TwoLayerSystem(MatrixSystem):
         J = np.zeros_like(P) if self.second_stream is None else self.second_stream(W[..., 0, :, :])
         return np.stack([P, J], axis=-3)
 
+    def slope_transposed(self, Y: Matrix) -> Matrix:
+        return self.dual(self.slope_of(self.dual(Y)))
+
     def dual(self, Y: Matrix) -> Matrix:
         """Return (J, P) of (P, J): J is the derivative by the carried field, and P that by the vorticity."""
         return Y[..., ::-1, :, :]
@@ -167,33 +184,6 @@ class TwoLayerSystem(MatrixSystem):
         bracket = self.algebra.bracket
         P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
         return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
-
-    def matrices(self, x: Any) -> Matrix:
-        """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
-        x = to_array(self.states_by_label(x, "a state"), "a state", "iufc")
-        if x.shape[-1:] == (self.dim,):
-            return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
-        X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
-        if X.shape[-3:] != self.matrix_shape:
-            raise ValueError(f"a state has the shape {X.shape}; it must be {self.matrix_shape}, or ({self.dim},)")
-        return X
-
-    def read_matrices(self, given: Any, what: str) -> Matrix:
-        state = to_array(self.states_by_label(given, what), what, "iufc")
-        if state.shape[-3:] != self.shape or state.ndim > 4:
-            raise ValueError(
-                f"{what} has the shape {state.shape}; it must be {self.shape}, the carried field and the vorticity, or "
-                f"(members, {str(self.shape)[1:]}"
-            )
-        layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
-        return np.stack(layers, axis=-3)
-
-    def to_vector(self, W: Any) -> Floats:
-        """Return states (..., 2, N, N) as vectors: layer by layer, entry by entry."""
-        X = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
-        if X.shape[-3:] != self.matrix_shape:
-            raise ValueError(f"a state is {short(W)}; it must have the shape {self.matrix_shape}")
-        return X.view(np.float64).reshape(*X.shape[:-3], self.dim)
 
 
 def mixed(k: int) -> str:
@@ -298,7 +288,7 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
         quantity="vorticity",
     )
 )
-def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
+def passive_scalar(N: int = 17, surface: str = "sphere", rotation: float = 0.0) -> TwoLayerSystem:
     """Return an ideal fluid in two dimensions with a passive scalar, as two matrices.
 
     ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not
@@ -310,12 +300,20 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
         Size of the matrices, as for `sphere_euler` and `torus_euler`.
     surface : {"sphere", "torus"}
         Surface of the fluid.
+    rotation : float
+        Angular velocity of the frame, on the sphere, as for `sphere_euler`: W is the absolute vorticity.
 
     Returns
     -------
     TwoLayerSystem
-        States (2, N, N): Theta and W. Energy: the integral of ``|u|^2/2`` over the surface. Casimirs tr Theta^k,
-        tr W Theta^k and tr W^k.
+        States (2, N, N): Theta and W; ``absolute([Theta, omega])`` makes one of a relative vorticity, and `relative` is
+        its inverse. Energy: the integral of ``|u|^2/2`` over the surface, of the motion relative to the frame. Casimirs
+        tr Theta^k, tr W Theta^k and tr W^k.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument of the wrong type or beyond its range, or a rotation on the torus.
 
     Notes
     -----
@@ -327,12 +325,16 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     >>> s.shape, "tr W^2" in s.casimirs
     ((2, 7, 7), True)
     """
-    return _with_second_field("passive_scalar", N, surface, acts=False)
+    rate = read_number(rotation, "rotation")
+    if rate and surface == "torus":
+        raise ValueError(f"rotation is {rate:g}, and the torus does not rotate; take the force BetaPlane")
+    return _with_second_field("passive_scalar", N, surface, acts=False, rotation=rate)
 
 
-def _with_second_field(name: str, N: int, surface: str, acts: bool) -> TwoLayerSystem:
+def _with_second_field(name: str, N: int, surface: str, acts: bool, **frame: float) -> TwoLayerSystem:
     """Return an ideal fluid with a second field that it carries, and that acts on it by its current or not at all."""
-    ideal = SURFACES[read_choice(surface, "surface", SURFACES)](N)
+    place = read_choice(surface, "surface", ("sphere", "torus"))
+    ideal: FluidSystem = sphere_euler(N, **frame) if place == "sphere" else torus_euler(N)
     stream: Any = ideal.stream
     system = TwoLayerSystem(
         ideal.algebra,
@@ -340,7 +342,12 @@ def _with_second_field(name: str, N: int, surface: str, acts: bool) -> TwoLayerS
         stream.inverted() if acts else None,
         energy_sign=-1,
         name=name,
-        parameters={"N": ideal.algebra.N, "surface": surface},
+        parameters={"N": ideal.algebra.N, "surface": surface, **frame},
     )
     system._fluid, system.energy_unit = ideal, ideal.energy_unit
+    set_fields(system, energy_parameters=tuple(frame) if place == "sphere" else ())
+    if ideal.linear is not None:
+        linear = np.stack([ideal.linear, np.zeros_like(ideal.linear)])
+        linear.flags.writeable = False
+        set_fields(system, linear=linear)
     return system

@@ -223,16 +223,20 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
             raise ValueError("a Rossby wave is an exact solution without topography; make the system without it")
         return n, read_integer(order, "order", 1, n)
 
-    def minimum_enstrophy(self, energy: float) -> Matrix:
+    def minimum_enstrophy(self, energy: float, angular_momentum: float | None = None) -> Matrix:
         """Return the steady state of the least potential enstrophy, the integral of q^2/2, of an energy.
 
         It is the state ``q = kappa psi + d`` with the largest kappa, to which selective decay leads. With topography it
-        is a flow along the contours of q at rest; without, it is zonal.
+        is a flow along the contours of q at rest; without, it is zonal. Of a given angular momentum as well it is
+        ``q = kappa psi + alpha mu + d``, zonal.
 
         Parameters
         ----------
         energy : float
             As `energy` of states returns it, positive.
+        angular_momentum : float, optional
+            Along the axis of rotation, the integral of mu q, as ``integrals["angular momentum z"]`` of states returns
+            it, which is constant if the topography is zonal.
 
         Returns
         -------
@@ -242,7 +246,8 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         ------
         ValueError
             There is no such state: no rotation, or an energy beyond the largest one, above which the least enstrophy is
-            that of waves of any phase on this flow.
+            that of waves of any phase on this flow; or below the least one of the angular momentum. An angular momentum
+            with a topography that is not zonal.
 
         Notes
         -----
@@ -256,12 +261,17 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         >>> round(s.energy(W), 12), bool(np.abs(s.vector_field(W)).max() < 1e-12)
         (0.01, True)
         """
-        wanted, lowest = read_positive(energy, "energy"), self._lowest_eigenvalue()
+        wanted, momentum = read_positive(energy, "energy"), angular_momentum
+        if momentum is not None:
+            momentum = read_number(momentum, "angular_momentum")
+            if not self.integrals:
+                raise ValueError("the angular momentum is not constant, since the topography is not zonal; omit it")
+        lowest = self._lowest_eigenvalue()  # that of a wave, which has no angular momentum
         # kappa + lowest, relative to lowest, from where waves are free to where the flow is almost at rest
         first, last = (bits * log(2.0) for bits in KAPPA_BITS)
 
         def at(logarithm: float) -> Matrix:
-            return self._along_stream(lowest * expm1(logarithm))
+            return self._along_stream(lowest * expm1(logarithm), momentum)
 
         def excess(logarithm: float) -> float:
             return log(self.energy(at(logarithm)) / wanted)
@@ -269,21 +279,33 @@ class SphereQG(QuasiGeostrophic, SphereEuler):
         least, most = self.energy(at(last)), self.energy(at(first))
         if not least < wanted < most:
             raise ValueError(
-                f"energy is {wanted:g}; with this rotation and topography, states of minimum enstrophy have energies "
-                f"up to {abs(most):.3g}"
+                f"energy is {wanted:g}; with this rotation and topography, states of minimum enstrophy "
+                + ("" if momentum is None else f"of the angular momentum {momentum:g} ")
+                + (f"have energies up to {abs(most):.3g}" if least < wanted else f"have energies above {least:.3g}")
             )
         from scipy.optimize import brentq
 
         return at(brentq(excess, first, last, xtol=1e-15, rtol=1e-15))
 
-    def _along_stream(self, kappa: float) -> Matrix:
-        """Return the state ``q = kappa psi + d`` whose psi has the mean of states."""
+    def _along_stream(self, kappa: float, momentum: float | None) -> Matrix:
+        """Return ``q = kappa psi + d``, or with ``+ alpha mu`` of an angular momentum; psi has the mean of states."""
         N = self.algebra.N
         solve, one = DiagonalSolve(self.stream.main + kappa, self.stream.beside), 1j * np.eye(N)
-        P, of_one, d = solve(self.planetary), solve(one), 0.0
-        if self.lamb:  # else the mean of P is zero already
-            d = float(-kappa * np.trace(P).imag / (N - kappa * np.trace(of_one).imag))
-        return np.asarray(kappa * (P - d * of_one) + d * one)
+        of_one = solve(one)
+
+        def along(rest: Matrix) -> Matrix:
+            P, d = solve(rest), 0.0
+            if self.lamb:  # else the mean of P is zero already
+                d = float(-kappa * np.trace(P).imag / (N - kappa * np.trace(of_one).imag))
+            return np.asarray(kappa * (P - d * of_one) + d * one)
+
+        q = along(self.planetary)
+        if momentum is None:
+            return q
+        sine = -generators(N)[2]
+        added = sine - along(sine)
+        share = (momentum - sphere_states.momentum_along("z", q)) / sphere_states.momentum_along("z", added)
+        return np.asarray(q + share * added)
 
     def _lowest_eigenvalue(self) -> float:
         """Return the smallest eigenvalue of the inverse of minus the stream, whose matrices have trace zero."""

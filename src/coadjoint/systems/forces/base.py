@@ -423,6 +423,9 @@ def forces_on(system: Any, forces: Sequence[Any], new: int) -> tuple[Any, tuple[
     for k, force in enumerate(forces):
         force.check(system)
         if k >= len(forces) - new:
+            kinds = None if system.has_matrices else kinds_of(system)
+            if kinds is not None and not np.isin(kinds, force.moves).any():
+                raise ValueError(f"{force.label} acts on a {force.moves[0]}, and {system.name} has none")
             force._check_kinds(system)
     streams = [(force.seed, force.stream) for force in forces if force.random]
     if len(set(streams)) < len(streams):

@@ -121,6 +121,8 @@ class DoubleBracketDamping(Force):
         name = type(self).__name__
         if system.has_matrices:
             check_conjugated(system, name)
+            if system.independent_layers:
+                raise ValueError(f"{name} acts on a fluid of one layer; {system.name} has layers; take Friction")
             if np.ndim(self.metric):
                 raise ValueError(
                     f"metric of {name} has the shape {np.shape(self.metric)}; on the matrices of {system.name} it is a "

@@ -47,8 +47,9 @@ class Friction(ModeRates):
         Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
         ``|n|`` on the torus.
         A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
-    layer : {"vorticity", "carried"}
-        The field on which it acts; "vorticity" if the state is one matrix.
+    layer : {"vorticity", "carried"} or int
+        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` the number of the layer,
+        from 0.
 
     Raises
     ------
@@ -64,7 +65,7 @@ class Friction(ModeRates):
     """
 
     rate: float | Callable[[Any], Any]
-    layer: str = "vorticity"
+    layer: str | int = "vorticity"
 
     example: ClassVar = {"rate": 0.2}
 
@@ -106,8 +107,9 @@ class Viscosity(ModeRates):
         1 for viscosity, 2 to 32 for hyperviscosity.
     rotation : bool
         On the sphere: whether solid rotations decay as well.
-    layer : {"vorticity", "carried"}
-        The field on which it acts; "vorticity" if the state is one matrix.
+    layer : {"vorticity", "carried"} or int
+        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` the number of the layer,
+        from 0.
 
     Raises
     ------
@@ -139,7 +141,7 @@ class Viscosity(ModeRates):
     nu: float
     power: int = 1
     rotation: bool = False
-    layer: str = "vorticity"
+    layer: str | int = "vorticity"
 
     example: ClassVar = {"nu": 0.02}
 
@@ -148,7 +150,7 @@ class Viscosity(ModeRates):
         self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
+        offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer != "carried" else 0.0
         with np.errstate(over="ignore"):  # modes of infinite rate become zero
             return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - offset) ** self.power)
 
@@ -206,6 +208,11 @@ class BetaPlane(ModeRates):
                 f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
                 "sphere_euler(rotation=...)"
             )
+        if system.independent_layers:
+            raise ValueError(
+                f"BetaPlane acts on a fluid of one layer, and {system.name} has layers; take them on the sphere, with "
+                "rotation="
+            )
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return 1j * self.beta * representatives(modes.N)[numbers] * modes.stream.on_modes(modes, d, numbers)
@@ -239,8 +246,9 @@ class RandomForcing(Force):
         Seed of the noise, from 0 to 2^62; the noise does not depend on other forces or members.
     stream : int
         Stream of the first member; member m of an ensemble has the noise of ``stream + m``.
-    layer : {"vorticity", "carried"}
-        The field on which it acts; "vorticity" if the state is one matrix.
+    layer : {"vorticity", "carried"} or int
+        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` the number of the layer,
+        from 0.
 
     Raises
     ------
@@ -263,7 +271,7 @@ class RandomForcing(Force):
     band: Any
     seed: int
     stream: int = 0
-    layer: str = "vorticity"
+    layer: str | int = "vorticity"
 
     example: ClassVar = {"energy_rate": 0.1, "band": (1, 2), "seed": 3}
     reversible: ClassVar[bool] = False
@@ -284,8 +292,10 @@ class RandomForcing(Force):
         # On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
         numbers: list[Numbers] = []
         energies: PerMode = []
-        stream = system.stream if self.layer == "vorticity" else system.second_stream
-        layer_index(system, self.layer)
+        index = layer_index(system, self.layer)
+        stream = system.stream if self.layer != "carried" else system.second_stream
+        if system.independent_layers:
+            stream = stream.of_layer(index)
         if stream is None:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
         waves, components = modes.kind == Waves.kind, 0

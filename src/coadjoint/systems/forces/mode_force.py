@@ -15,7 +15,7 @@ from coadjoint.systems.coordinates import rest_of
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.matrices.spherical_modes import harmonics
 from coadjoint.systems.matrices.torus_modes import representatives
-from coadjoint.validation import read_choice
+from coadjoint.validation import is_integer, read_choice, read_integer
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -183,13 +183,23 @@ def noise_matrix(
 
 
 LAYERS = ("vorticity", "carried")
-"""Fields of a two-layer system: the vorticity, and the field carried by the flow."""
+"""Fields of a system of two fields: the vorticity, and the field carried by the flow."""
+MAX_LAYERS = 64  # of a fluid
 
 
-def layer_index(system: Any, layer: str) -> int:
+def layer_index(system: Any, layer: str | int) -> int:
     """Return the index of a layer in a state; raise an error if the system does not have it."""
+    if system.independent_layers:
+        count = system.matrix_shape[0]
+        if layer in LAYERS or int(layer) >= count:
+            raise ValueError(
+                f"layer is {layer!r}; {system.name} has the layers 0 to {count - 1}, and a force acts on one of them"
+            )
+        return int(layer)
+    if layer not in LAYERS:
+        raise ValueError(f"layer is {layer}, and {system.name} has no layers of a fluid; give one of {LAYERS}")
     if len(system.matrix_shape) == 3:
-        return 1 - LAYERS.index(layer)
+        return 1 - LAYERS.index(str(layer))
     if layer != "vorticity":
         raise ValueError(f"layer is {layer!r}; {system.name} has one field, the vorticity")
     return 0
@@ -206,18 +216,20 @@ def modes_of(system: Any, what: str) -> ModeBasis:
     return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N, system.stream)
 
 
-def read_layer(value: Any, what: str) -> str:
-    """Validate the name of a field."""
+def read_layer(value: Any, what: str) -> str | int:
+    """Validate the name of a field, or the number of a layer."""
+    if is_integer(value):
+        return read_integer(value, what, 0, MAX_LAYERS - 1)
     return read_choice(value, what, LAYERS)
 
 
-def layer_matrix(system: Any, layer: str, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def layer_matrix(system: Any, layer: str | int, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a field of a state."""
     state = system.from_vector(x)
     return np.asarray(state if state.ndim == 2 else state[layer_index(system, layer)])
 
 
-def layer_vector(system: Any, layer: str, W: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def layer_vector(system: Any, layer: str | int, W: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the vector of a state with this field, and zero in the others."""
     state = np.zeros(system.matrix_shape, dtype=W.dtype)
     state[layer_index(system, layer) if state.ndim == 3 else ...] = W
@@ -230,7 +242,7 @@ class ModeRates(Force):
     # c is the mode of the state without that at rest: on a rotating sphere, whose state is the absolute vorticity, of
     # the relative vorticity; in a quasi-geostrophic flow of the potential vorticity without its planetary term.
 
-    layer: str
+    layer: str | int
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> npt.NDArray[Any]:
@@ -254,8 +266,8 @@ class ModeRates(Force):
         self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
     ) -> npt.NDArray[Any]:
         W = layer_matrix(system, self.layer, x)
-        rest = self._rest_state(system)
-        return self._scale_matrix(system, W if rest is None else W - system.from_vector(rest), factor)
+        rest = self._rest_of_layer(system)
+        return self._scale_matrix(system, W if rest is None else W - rest, factor)
 
     def _scale_matrix(
         self, system: Any, W: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
@@ -268,9 +280,10 @@ class ModeRates(Force):
         ]
         return layer_vector(system, self.layer, modes.matrix(coefficients, selected))
 
-    def _rest_state(self, system: Any) -> npt.NDArray[Any] | None:
-        """Return the state at rest in the frame, as a vector, or None if it is zero."""
-        return rest_of(system) if self.layer == "vorticity" else None
+    def _rest_of_layer(self, system: Any) -> npt.NDArray[Any] | None:
+        """Return the matrix at rest in the frame, or None if the state at rest is zero."""
+        rest = rest_of(system)
+        return None if rest is None else layer_matrix(system, self.layer, rest)
 
     def field(self, system: Any, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
         return self._scale_modes(system, x, lambda rate: -rate)
@@ -284,7 +297,8 @@ class ModeRates(Force):
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        target = self._rest_state(system)
+        rest = self._rest_of_layer(system)
+        target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
         return reader.mode_rates(modes, *self._selected_modes(modes), target, layer_index(system, self.layer))
 
 

@@ -107,6 +107,8 @@ class SelectiveDecay(Force):
         if system.has_matrices:
             if not system.algebra.skew:
                 raise ValueError(f"{name} acts on skew-Hermitian matrices; those of {system.algebra} are not")
+            if system.independent_layers:
+                raise ValueError(f"{name} acts on a fluid of one layer; {system.name} has layers; take Viscosity")
             if system.second_stream is not None:
                 raise ValueError(
                     f"{name} lowers tr W^2, no Casimir of {system.name}, whose carried field acts on the flow; take "
@@ -211,6 +213,7 @@ def _brackets(system: Any) -> _Brackets:
 
         return _Brackets(slice(None), lambda v, y: bracket.product(y, v), hamiltonian.gradient, change)
     algebra, stream, linear = system.algebra, system.stream, system.linear
+    linear = linear[0] if np.ndim(linear) == 3 else linear  # that of the vorticity
     shape, kind = algebra.shape, np.complex128 if system.complex else np.float64
     size = (1 + system.complex) * algebra.N**2
 

@@ -32,7 +32,7 @@ def acting_layers(system: Any) -> int:
 
 def times(system: Any, A: Matrix, B: Matrix) -> Matrix:
     """Return products of matrices, or of pairs A0 + eps A1 with eps^2 = 0."""
-    if len(system.matrix_shape) == 2:
+    if len(system.matrix_shape) == 2 or system.independent_layers:
         return A @ B
     first, second = A[..., 0, :, :], A[..., 1, :, :]
     return np.stack([first @ B[..., 0, :, :], first @ B[..., 1, :, :] + second @ B[..., 0, :, :]], axis=-3)
@@ -40,7 +40,9 @@ def times(system: Any, A: Matrix, B: Matrix) -> Matrix:
 
 def with_layers(system: Any, A: Matrix) -> Matrix:
     """Return an element of the system from one of a single layer."""
-    return A if len(system.matrix_shape) == 2 or A.ndim == 3 else np.stack([A, np.zeros_like(A)])
+    if len(system.matrix_shape) == 2 or A.ndim == 3 or system.independent_layers:
+        return A
+    return np.stack([A, np.zeros_like(A)])
 
 
 def exponential(system: Any, A: Matrix) -> Matrix:

@@ -106,6 +106,10 @@ class MatrixSystem(Immutable, System):
     shape: tuple[int, ...] = ()
     has_matrices = True
     second_stream: Stream | None = None
+    energy_parameters: tuple[str, ...] | None = None
+    """Parameters on which only the energy depends, each of whose numbers may change; by default all real numbers."""
+    independent_layers = False
+    """Whether the matrices of a state are multiplied one by one, and not as dual numbers."""
     energy_unit: float = 1.0
     """Energy of ``<P, W>/2 = 1``."""
 
@@ -197,6 +201,10 @@ class MatrixSystem(Immutable, System):
     def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
         """Return stream(W) for matrices (..., N, N), without the constant term."""
         return applied(self.stream, W, t)
+
+    def slope_transposed(self, Y: Matrix) -> Matrix:
+        """Return the transpose of the linear map `slope_of`, for the real inner product of entries."""
+        return self.slope_of(Y)
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
         """Return P = stream(W) + linear for matrices (..., N, N)."""

@@ -233,7 +233,9 @@ class RotatingPlanet:
         Returns
         -------
         xarray.Dataset
-            Vorticities (s-1), stream function (m2 s-1) and velocities (m s-1), over the time of the run in seconds.
+            Vorticities (s-1), stream function (m2 s-1), velocities (m s-1), and beside a stream function `height` (m),
+            the displacement of the free surface in geostrophic balance, ``f psi/gravity`` of the uppermost layer with
+            psi without its mean (of an interface, if `gravity` is a reduced one); over the time of the run in seconds.
 
         Raises
         ------
@@ -274,6 +276,12 @@ class RotatingPlanet:
             raise ValueError("dataset has no vorticity over latitude and longitude; give sol.to_xarray(grid=True)")
         import xarray
 
+        psi = next((one for one in fields.values() if one.attrs["long_name"] == STREAM_FUNCTION), None)
+        if psi is not None:
+            upper = psi.isel(layer=0, drop=True) if "layer" in psi.dims else psi
+            coriolis = 2.0 * self.rotation / self.seconds * np.sin(np.radians(psi.latitude))
+            about = {"long_name": "height of the free surface in geostrophic balance", "units": "m"}
+            fields["height"] = (upper * coriolis / self.gravity).assign_attrs(about | {"cell_methods": "time: point"})
         found = xarray.Dataset(fields, attrs={"Conventions": "CF-1.11"})
         seconds = (dataset.time * self.seconds).assign_attrs(standard_name="time", long_name="time", units="s")
         return found.assign_coords(time=seconds)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -325,6 +325,69 @@ class Circulants:
     def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
         """Return the eigenvalues of the stream on modes of a diagonal."""
         return np.asarray(self.spectrum[d, 2 * numbers % modes.N])
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredStream:
+    """The stream of the layers of a fluid, (..., k, N, N): of each vertical mode that of a single layer.
+
+    Parameters
+    ----------
+    of_modes : sequence of Stream
+        The streams of the vertical modes, of one kind.
+    to_modes, to_layers : (k, k)
+        Matrices from layers to vertical modes, and back.
+    weights : (k,)
+        Weights of the layers in the energy; the stream is symmetric with them.
+    """
+
+    of_modes: tuple[Any, ...]
+    to_modes: Floats
+    to_layers: Floats
+    weights: Floats
+    table: Floats = field(init=False, repr=False)
+
+    kind = "LAYERED"
+
+    def __post_init__(self) -> None:
+        numbers = [self.weights, self.to_modes.ravel(), self.to_layers.ravel()]
+        set_fields(self, table=np.concatenate([*numbers, *(stream.table for stream in self.of_modes)]))
+
+    @property
+    def size(self) -> int:
+        """Number of rows of the matrices."""
+        return int(self.of_modes[0].size)
+
+    @property
+    def modes(self) -> str:
+        """Kind of the modes on which the streams act."""
+        return str(self.of_modes[0].modes)
+
+    def __call__(self, W: Matrix) -> Matrix:
+        return self.by_modes(self.of_modes, W)
+
+    def by_modes(self, functions: Sequence[Callable[[Matrix], Matrix]], W: Matrix) -> Matrix:
+        """Return layers of which each vertical mode is a function of that of given layers."""
+        V = np.einsum("ml,...lij->m...ij", self.to_modes, W)
+        changed = np.stack([function(mode) for function, mode in zip(functions, V, strict=True)])
+        return np.einsum("lm,m...ij->...lij", self.to_layers, changed)
+
+    def of_layer(self, layer: int) -> SelfInduction:
+        """Return the map of a layer to its own stream, times its weight, for the energy of its modes."""
+        shares = self.weights[layer] * self.to_layers[layer] * self.to_modes[:, layer]
+        return SelfInduction(self, shares)
+
+
+class SelfInduction(NamedTuple):
+    """The stream that a layer induces in itself, on the modes of its diagonals."""
+
+    stream: LayeredStream
+    shares: Floats
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the diagonal elements between modes of a diagonal."""
+        values = [one.on_modes(modes, d, numbers) for one in self.stream.of_modes]
+        return np.asarray(sum(share * value for share, value in zip(self.shares, values, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,8 +47,10 @@ namespace turns {
 CODES(Turn, TURNS)
 }  // namespace turns
 
-// How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function.
-#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4) _(SYMMETRIC, 5)
+// How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function; or how several
+// matrices, the layers of a fluid, are mapped to theirs.
+#define STREAMS(_) \
+    _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4) _(SYMMETRIC, 5) _(LAYERED, 6)
 CODES(StreamKind, STREAMS)
 
 // Solution of the stages of a Runge-Kutta method.

@@ -1,5 +1,6 @@
 // The quadratic invariants of a state of matrices, at the cost of its stream: the energy, and tr W^2 of one matrix, tr
-// Theta^2 and tr W Theta of two layers; complex skew-Hermitian matrices count as -i W.
+// Theta^2 and tr W Theta of two fields, tr W^2 of each of independent layers; complex skew-Hermitian matrices count as
+// -i W.
 #pragma once
 
 #include <memory>
@@ -41,12 +42,14 @@ struct InvariantsOf final : MatrixInvariants {
         double energy = 0.0;
         for (int64_t l = 0; l < layers; ++l) {
             // the stream is H's derivative by the other layer, and half of it gives H up to its constant part
-            const T *const of = X + (layers - 1 - l) * square, *const y = Y.data() + l * square;
-            energy += 0.5 * pairing(y, of);
-            if (constant) energy += 0.5 * pairing(constant + l * square, of);
+            const int64_t other = stream.direct ? l : layers - 1 - l;
+            const T *const of = X + other * square, *const y = Y.data() + l * square;
+            energy += 0.5 * stream.weight(l) * pairing(y, of);
+            if (constant) energy += 0.5 * stream.weight(l) * pairing(constant + l * square, of);
         }
         values[0] = factor * energy;
-        for (int64_t l = 0; l < layers; ++l) values[1 + l] = sign_of_trace * trace(X, X + l * square);
+        for (int64_t l = 0; l < layers; ++l)
+            values[1 + l] = sign_of_trace * trace(stream.direct ? X + l * square : X, X + l * square);
         return true;
     }
 

@@ -40,7 +40,7 @@ struct Isospectral : StepScheme {
         : n(tables.whole[0]), square(n * n), all(tables.whole[1] * square),
           numbers(all * int64_t(sizeof(T) / sizeof(double))), stages(tables.whole[STAGES]),
           skew(!tables.whole[GENERAL]), a(tables.coefficients), b(a + stages * stages), c(b + stages),
-          products(tables.whole[GEMM], n, tables.whole[1]), stream(tables.whole, c + stages) {
+          products(tables.whole[GEMM], n, tables.whole[1], layered(tables.whole)), stream(tables.whole, c + stages) {
         work = 16 * stages * (all * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
     }
 

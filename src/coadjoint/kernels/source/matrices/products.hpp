@@ -1,6 +1,7 @@
 // Products of square matrices, by the BLAS routine given in the tables. Matrices are stored row by row.
 //
-// An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product.
+// An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product. Or it has several that are
+// multiplied one by one, of a direct product.
 #pragma once
 
 #include <algorithm>
@@ -63,8 +64,8 @@ using Gemm = void (*)(const char*, const char*, const int*, const int*, const in
 template <class T>
 class Products {
   public:
-    Products(int64_t gemm, int64_t size, int64_t layers)
-        : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), square(size * size), layers(layers) {}
+    Products(int64_t gemm, int64_t size, int64_t layers, bool direct = false)
+        : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), square(size * size), layers(layers), direct(direct) {}
 
     // c = a b. Fortran reads columns: it sees the transposed matrices, and their product in the opposite order.
     void multiply(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, false); }
@@ -85,10 +86,13 @@ class Products {
     const Gemm<T> gemm;
     const int n;
     const int64_t square, layers;
+    const bool direct;
 
     void of_layers(const T* a, const T* b, T* c, bool adjoint, bool skew) const {
         by_panels(a, b, c, adjoint, skew, false);
-        if (layers == 2) {
+        for (int64_t l = 1; direct && l < layers; ++l)
+            by_panels(a + l * square, b + l * square, c + l * square, adjoint, skew, false);
+        if (layers == 2 && !direct) {
             by_panels(a, b + square, c + square, adjoint, skew, false);
             by_panels(a + square, b, c + square, adjoint, skew, true);
         }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <deque>
 #include <memory>
 #include <vector>
 
@@ -142,20 +143,67 @@ class DiagonalMap {
     }
 };
 
-// The stream of a state of one or two layers, X = Theta + eps W: Y = P + eps J, where P comes from W and J from Theta.
+// Whether a state has independent layers, by the integers of its stream.
+inline bool layered(const int64_t* whole) { return whole[2] == LAYERED; }
+
+// The stream of the layers of a fluid. `numbers`: the weight of each layer in the energy, the matrices from layers to
+// vertical modes and from these to layers, row by row, and the map of each mode, of one kind.
+template <class T>
+class LayeredMap {
+  public:
+    LayeredMap(int64_t kind, int64_t size, int64_t layers, const double* numbers)
+        : square(size * size), layers(layers), weights(numbers), to_modes(weights + layers),
+          to_layers(to_modes + layers * layers), mode(square), of_mode(square) {
+        const int64_t count = DiagonalMap<T>::numbers_of(kind, size);
+        for (int64_t m = 0; m < layers; ++m)
+            maps.emplace_back(kind, size, to_layers + layers * layers + m * count);
+    }
+
+    int64_t work() const { return layers * (maps[0].work() + 2 * layers * square); }
+    double weight(int64_t l) const { return weights[l]; }
+
+    void apply(const T* X, T* Y, bool upper) {
+        std::fill_n(Y, layers * square, T(0.0));
+        for (int64_t m = 0; m < layers; ++m) {
+            std::fill_n(mode.data(), square, T(0.0));
+            for (int64_t l = 0; l < layers; ++l) add(to_modes[m * layers + l], X + l * square, mode.data());
+            maps[m].apply(mode.data(), of_mode.data(), upper);
+            for (int64_t l = 0; l < layers; ++l) add(to_layers[l * layers + m], of_mode.data(), Y + l * square);
+        }
+    }
+
+  private:
+    const int64_t square, layers;
+    const double *const weights, *const to_modes, *const to_layers;
+    std::deque<DiagonalMap<T>> maps;  // which do not move
+    std::vector<T> mode, of_mode;
+
+    void add(double factor, const T* from, T* to) const {
+        for (int64_t e = 0; e < square; ++e) to[e] += factor * from[e];
+    }
+};
+
+// The stream of a state of one or two layers, X = Theta + eps W: Y = P + eps J, where P comes from W and J from Theta;
+// or of independent layers.
 template <class T>
 class Stream {
   public:
-    // `whole`: the size, the layers, the kinds of the two maps, -1 for none, whether a constant is added, and the
-    // address of a function. `numbers`: the constant, and the numbers that the maps read.
+    // `whole`: the size, the layers, the kinds of the two maps, -1 for none, or LAYERED and that of the vertical modes,
+    // whether a constant is added, and the address of a function. `numbers`: the constant, and the numbers that the maps
+    // read.
     Stream(const int64_t* whole, const double* numbers)
-        : n(whole[0]), layers(whole[1]), second(whole[3] >= 0), constant(whole[4] ? numbers : nullptr),
+        : n(whole[0]), layers(whole[1]), second(whole[3] >= 0 && !layered(whole)), direct(layered(whole)),
+          constant(whole[4] ? numbers : nullptr),
           function(whole[2] == BY_FUNCTION ? whole[5] : 0),
+          all_layers(direct ? std::make_unique<LayeredMap<T>>(whole[3], n, layers, numbers + offset(whole)) : nullptr),
           first_map(whole[2], n, numbers + offset(whole)),
           second_map(second ? whole[3] : int64_t(BY_FUNCTION), n,
                      numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)) {}
 
-    int64_t work() const { return first_map.work() + (second ? second_map.work() : 0); }
+    int64_t work() const {
+        return direct ? all_layers->work() : first_map.work() + (second ? second_map.work() : 0);
+    }
+    double weight(int64_t l) const { return direct ? all_layers->weight(l) : 1.0; }
 
     // Compute the stream Y of X, with `upper` as for a map; return whether a function gave finite numbers.
     bool apply(const T* X, double t, T* Y, bool upper = false) {
@@ -188,6 +236,7 @@ class Stream {
     // The same without the constant, for a stream that is not a function.
     void apply_linear(const T* X, T* Y, bool upper = false) {
         const int64_t square = n * n;
+        if (direct) return all_layers->apply(X, Y, upper);
         first_map.apply(X + (layers - 1) * square, Y, upper);
         if (second) second_map.apply(X, Y + square, upper);
         else std::fill_n(Y + square, (layers - 1) * square, T(0.0));
@@ -196,8 +245,14 @@ class Stream {
   private:
     const int64_t n, layers;
     const bool second;
+
+  public:
+    const bool direct;  // whether layers are independent
+
+  private:
     const double* const constant;
     const int64_t function;  // its address, or 0
+    const std::unique_ptr<LayeredMap<T>> all_layers;
     DiagonalMap<T> first_map, second_map;
 
     static int64_t offset(const int64_t* whole) {

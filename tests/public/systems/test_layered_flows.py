@@ -1,0 +1,313 @@
+"""Quasi-geostrophic flow in layers: waves and instability in closed form, invariants, forces, files and pictures."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.special import pro_cv
+
+import coadjoint as co
+from refusals import refused
+
+S = co.systems
+GAMMA, THICK = np.array([[6.0, -6.0, 0.0], [-3.0, 5.0, -2.0], [0.0, -1.0, 2.0]]), (1.0, 2.0, 4.0)
+FLOWS = {
+    "three layers": S.layered_qg(9, GAMMA, THICK, rotation=1.5),
+    "two layers": S.layered_qg(9, [[3.0, -3.0], [-1.0, 1.0]], (1.0, 3.0), rotation=-0.5),
+    "of latitude": S.layered_qg(9, np.zeros((2, 2)), (2.0, 1.0), [[3.0, -2.0], [-4.0, 4.5]], 2.0),
+    "torus": S.layered_qg(9, [[3.0, -3.0], [-1.0, 1.0]], (1.0, 3.0), surface="torus"),
+}
+EACH = pytest.mark.parametrize("name", FLOWS)
+SIXTH = co.IsospectralGauss(3)
+
+
+def start_of(s, seed=1):
+    """Return a random state, of other flows in each layer."""
+    return s.absolute([s.fluid.random(seed=seed + k, degrees=(1, 4)) for k in range(s.shape[0])])
+
+
+def solved(s, q):
+    """Return the stream functions of potential vorticities, mode by mode."""
+    fluid = s.fluid
+    modes = fluid.mode_array(q - s.planetary, absolute=True)
+    eigenvalues = np.where(fluid.eigenvalues > 0.0, fluid.eigenvalues, 1.0)
+    matrices = eigenvalues[..., None, None] * np.eye(s.shape[0]) + s.gamma
+    psi = -np.linalg.solve(matrices, np.moveaxis(modes, 0, -1)[..., None])
+    psi = np.where((fluid.degrees > 0)[..., None], psi[..., 0], 0.0)
+    return fluid.from_modes(np.moveaxis(psi, -1, 0), absolute=True)
+
+
+def reference(s, x0, span, force=lambda q, P: 0.0):
+    """Return the end of the motion by the commutators of `solved`, by DOP853."""
+
+    def field(t, y):
+        q = y.view(complex).reshape(s.shape)
+        P = solved(s, q)
+        return np.ascontiguousarray(P @ q - q @ P + force(q, P)).view(float).ravel()
+
+    end = solve_ivp(field, span, x0.view(float).ravel(), method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    return np.ascontiguousarray(end).view(complex).reshape(s.shape)
+
+
+@pytest.mark.parametrize("span", [(0.5, 1.0), (1.0, 0.5)])
+@pytest.mark.parametrize("name", [name for name in FLOWS if name != "of latitude"])
+def test_members_follow_the_equations(name, span):
+    s = FLOWS[name]
+    x0 = np.stack([start_of(s, 1), start_of(s, 5)])
+    sol = co.integrate(s, x0, span, 2.0**-6, SIXTH, save_every=32)
+    for k in range(2):
+        np.testing.assert_allclose(sol.x[-1, k], reference(s, x0[k], span), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(s.stream_of(x0[k]), solved(s, x0[k]), rtol=0, atol=1e-12)
+
+
+@EACH
+def test_fields_are_inverses_of_each_other(name):
+    """q is the Laplacian of psi without the coupling, where this is constant."""
+    s = FLOWS[name]
+    x = start_of(s)
+    P, W = s.stream_of(x), s.relative(x)
+    for again in (s.absolute(W), s.from_stream(P)):
+        np.testing.assert_allclose(again, x, rtol=0, atol=1e-12)
+    laplacian = s.fluid.from_modes(-s.fluid.eigenvalues * s.fluid.mode_array(P, absolute=True), absolute=True)
+    np.testing.assert_allclose(W, laplacian, rtol=0, atol=1e-11)
+    if name != "of latitude":
+        q = laplacian - np.einsum("kj,jab->kab", s.gamma, P) + s.planetary
+        np.testing.assert_allclose(q, x, rtol=0, atol=1e-11)
+    kinetic = s.thicknesses @ s.fluid.energy_spectrum(W)[1].sum(axis=-1)
+    coupled = 0.5 * s.energy_unit * np.einsum("k,kab,kj,jab->", s.thicknesses, P.conj(), s.gamma, P).real
+    if name != "of latitude":
+        assert s.energy(x) == pytest.approx(kinetic + coupled, rel=1e-12)
+
+
+@EACH
+def test_casimirs_of_every_layer_and_the_energy(name):
+    s = FLOWS[name]
+    x0, errors = start_of(s), []
+    for h in (2.0**-5, 2.0**-6):
+        sol = co.integrate(s, x0, (0, 2), h, co.IsospectralGauss(), save_every=4)
+        drift = sol.drift()
+        for casimir in s.casimirs:
+            size = np.linalg.norm(x0, axis=(-2, -1)).max() ** int(casimir[5])
+            assert drift[casimir].absolute < 1e-13 * size, casimir
+        errors.append(drift["energy"].absolute)
+        for integral in s.integrals.values():
+            assert np.ptp(integral(sol.x)) < 2e-13 * np.abs(s.fluid.scale * x0).max()
+    assert 1.7 < np.log2(errors[0] / errors[1]) < 2.3
+    assert np.abs(sol.x[-1] - x0).max() > 0.1 * np.abs(x0).max()
+    np.testing.assert_allclose(s.spectrum(sol.x[-1]), s.spectrum(x0), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("stages", [1, 2])
+@EACH
+def test_compiled_steps_are_those_of_numpy(name, stages):
+    s, method = FLOWS[name], co.IsospectralGauss(stages)
+    x0 = start_of(s)
+    end = co.integrate(s, x0, (0, 0.05), 0.05, method).x[-1]
+    np.testing.assert_allclose(method.step(s, x0, 0.0, 0.05), end, rtol=0, atol=1e-12)
+    free = co.integrate(s, x0, (0, 0.05), 0.0125, co.CommutatorFree(4)).x[-1]
+    np.testing.assert_allclose(free, co.integrate(s, x0, (0, 0.05), 0.0125, SIXTH).x[-1], rtol=0, atol=1e-5)
+
+
+def test_gradients_of_runs():
+    s = FLOWS["three layers"]
+    x0, d = start_of(s), start_of(s, 9) - s.planetary
+    ready = co.prepare(s, co.IsospectralGauss(), 0.02)
+    _, pullback = ready.vjp(x0, (0.0, 0.1))
+    weights = np.random.default_rng(2).standard_normal((6, *s.shape))
+    found = np.sum(np.conj(pullback(x=weights)["x0"]) * d).real
+
+    def value(x):
+        return np.sum(weights * ready.run(x, (0.0, 0.1)).x.real)
+
+    h = 1e-4
+    assert found == pytest.approx((value(x0 + h * d) - value(x0 - h * d)) / (2 * h), rel=1e-6)
+
+
+def test_rossby_waves_of_each_vertical_mode():
+    """Barotropic and baroclinic ones are exact solutions, which turn by -2 Omega/(l(l + 1) + gamma)."""
+    F = (3.0, 1.0)
+    s = S.layered_qg(12, [[F[0], -F[0]], [-F[1], F[1]]], (F[1], F[0]), rotation=2.0)
+    for mode, gamma in enumerate((0.0, sum(F))):
+        c = s.rossby_speed(4, 3, mode)
+        assert c == pytest.approx(-4.0 / (20.0 + gamma), rel=1e-12)
+        x0 = s.rossby_wave(4, 3, mode, wave=2.0, longitude=0.3)
+        sol = co.integrate(s, x0, (0, 1), 1 / 32, SIXTH, save_every=32)
+        turned = s.rossby_wave(4, 3, mode, wave=2.0, longitude=0.3 + c)
+        np.testing.assert_allclose(sol.x[-1], turned, rtol=0, atol=1e-7)
+        top = np.sqrt(2 * s.fluid.enstrophy_spectrum(s.relative(x0))[1].sum(axis=-1) / s.fluid.area)
+        assert top.max() == pytest.approx(2.0, rel=1e-12)
+    np.testing.assert_allclose(s.modes[2], [[1.0, 1.0], [1.0, -1 / 3]], rtol=0, atol=1e-12)
+
+
+def test_waves_where_the_coupling_depends_on_the_latitude():
+    s = S.layered_qg(64, np.zeros((2, 2)), None, [[40.0, -40.0], [-40.0, 40.0]], 1.0)
+    assert s.rossby_speed(5, 4, 1) == pytest.approx(-2 / pro_cv(4, 5, np.sqrt(80.0)), rel=1e-4)
+    assert s.rossby_speed(5, 4, 0) == pytest.approx(-2 / 30.0, rel=1e-12)
+
+
+def test_baroclinic_instability_grows_by_the_rate_of_phillips():
+    """Two layers in solid rotations of their own: of each harmonic the linear equations of two numbers."""
+    omega, Omega, F, l, m = np.array([0.6, -0.4]), 0.25, np.array([12.0, 6.0]), 3, 2
+    gamma = np.array([[F[0], -F[0]], [-F[1], F[1]]])
+    s = S.layered_qg(8, gamma, 1 / F, rotation=Omega)
+    solid = [s.fluid.from_modes({(1, 0): 2 * w * np.sqrt(4 * np.pi / 3)}) for w in omega]
+    # q = B mu of the currents, and q_t + omega q_phi + B psi_phi = 0
+    B = 2 * omega + gamma @ omega + 2 * Omega
+    M = -1j * m * (np.diag(omega) - np.diag(B) @ np.linalg.inv(l * (l + 1) * np.eye(2) + gamma))
+    rate = np.linalg.eigvals(M).real.max()
+    assert rate > 0.2
+    small = 1e-6 * np.array([1.0, 0.5 - 0.3j])
+    current = s.absolute(solid)
+    x0 = current + np.stack([s.fluid.from_modes({(l, m): c}) for c in small])
+    sol = co.integrate(s, x0, (0, 16), 1 / 32, SIXTH, save_every=64)
+    found = s.fluid.mode_array(sol.x - s.planetary)[:, :, l, m]
+    wanted = np.stack([expm(t * M) @ small for t in sol.t])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+    grown = np.abs(found[-1, 0] / found[-2, 0])
+    assert np.log(grown) / (sol.t[-1] - sol.t[-2]) == pytest.approx(rate, rel=1e-2)
+    steady = co.integrate(s, current, (0, 1), 1 / 32, SIXTH).x[-1]
+    np.testing.assert_allclose(steady, current, rtol=0, atol=1e-12)
+
+
+def test_layers_without_coupling_and_layers_that_move_alike():
+    apart, tied = S.layered_qg(10, np.zeros((2, 2)), rotation=1.0), S.layered_qg(10, rotation=1.0)
+    sphere = S.sphere_euler(10, 1.0)
+    W = [sphere.random(seed=k) for k in (1, 2)]
+    alone = [co.integrate(sphere, one, (0, 1), 1 / 64, co.IsospectralGauss(2)).x[-1] for one in W]
+    both = co.integrate(apart, np.stack(W), (0, 1), 1 / 64, co.IsospectralGauss(2)).x[-1]
+    np.testing.assert_allclose(both, alone, rtol=0, atol=1e-12)
+    same = co.integrate(tied, np.stack([W[0], W[0]]), (0, 1), 1 / 64, co.IsospectralGauss(2)).x[-1]
+    np.testing.assert_allclose(same, [alone[0]] * 2, rtol=0, atol=1e-12)
+
+
+def test_units_of_any_size():
+    """Thicknesses multiply the energy alone, and vorticities the rate of time."""
+    s, scaled = (S.layered_qg(8, [[2.0, -2.0], [-1.0, 1.0]], size * np.array([1.0, 2.0])) for size in (1.0, 1e30))
+    x0 = start_of(s)
+    assert scaled.energy(x0) == pytest.approx(1e30 * s.energy(x0), rel=1e-14)
+    end = co.integrate(s, x0, (0, 1), 1 / 32, SIXTH).x[-1]
+    np.testing.assert_allclose(co.integrate(scaled, x0, (0, 1), 1 / 32, SIXTH).x[-1], end, rtol=0, atol=1e-12)
+    for size in (1e-7, 1e30):
+        fast = co.integrate(s, size * x0, (0, 1 / size), 1 / (32 * size), SIXTH).x[-1]
+        np.testing.assert_allclose(fast / size, end, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("layer", [0, 2])
+def test_friction_and_viscosity_of_one_layer(layer):
+    s = FLOWS["three layers"]
+    x0, rest = start_of(s), s.planetary[0]
+    forced = s.with_forces(co.forces.Friction(0.4, layer=layer), co.forces.Viscosity(0.01, layer=layer, rotation=True))
+
+    def force(q, P):
+        change = np.zeros_like(q)
+        V = q[layer] - rest
+        decay = s.fluid.from_modes(0.01 * s.fluid.eigenvalues * s.fluid.mode_array(V), absolute=True)
+        change[layer] = -0.4 * V - decay
+        return change
+
+    sol = co.integrate(forced, x0, (0, 0.5), 2.0**-8, SIXTH, save_every=64)
+    np.testing.assert_allclose(sol.x[-1], reference(s, x0, (0, 0.5), force), rtol=0, atol=1e-5)
+    assert sol.balance()["energy"] < 1e-5
+    assert sol.balance()[f"tr W^2 [{layer + 1}]"] < 1e-5
+
+
+def test_random_forcing_of_a_layer_has_its_rate_of_energy():
+    s = FLOWS["three layers"]
+    forced = s.with_forces(co.forces.RandomForcing(0.5, (2, 3), seed=3, layer=1))
+    still = np.broadcast_to(s.planetary, (400, *s.shape))
+    sol = co.integrate(forced, still, (0, 1), 0.5, co.IsospectralGauss())
+    assert abs(sol.energy[-1].mean() - 0.5) < 4 * 0.5 * np.sqrt(2 / 12 / 400)
+    assert np.abs(sol.x[-1, :, 0] - s.planetary[0]).max() < 0.1 * np.abs(sol.x[-1, :, 1] - s.planetary[0]).max()
+
+
+def test_transport_noise_carries_all_layers():
+    s = FLOWS["two layers"]
+    noise = co.forces.TransportNoise((1, 2), 0.3, seed=4)
+    sol = co.integrate(s.with_forces(noise), start_of(s), (0, 1), 0.0625, co.IsospectralGauss())
+    assert max(sol.balance()[name] for name in s.casimirs) < 1e-12
+    alone = FLOWS["two layers"].fluid
+    W = alone.random(seed=1)
+    still = S.layered_qg(9, np.zeros((2, 2)))
+    one = co.integrate(alone.with_forces(noise), W, (0, 1), 0.0625, co.IsospectralGauss(2)).x[-1]
+    both = co.integrate(still.with_forces(noise), np.stack([W, W]), (0, 1), 0.0625, co.IsospectralGauss(2)).x[-1]
+    np.testing.assert_allclose(both, [one, one], rtol=0, atol=1e-11)
+
+
+def test_files_datasets_and_pictures(tmp_path):
+    s = FLOWS["three layers"]
+    x0 = start_of(s)
+    whole = co.integrate(s, x0, (0, 1), 0.0625, co.IsospectralGauss(), archive=tmp_path / "whole.zarr")
+    part = co.integrate(s, x0, (0, 0.5), 0.0625, co.IsospectralGauss(), archive=tmp_path / "part.zarr")
+    assert np.array_equal(part.x[-1], whole.x[8])
+    again = co.load(tmp_path / "whole.zarr")
+    assert np.array_equal(again.x, whole.x)
+    assert again.system.parameters == s.parameters
+    fields = whole.to_xarray(grid=True).isel(time=-1)
+    assert fields.vorticity.dims == ("layer", "latitude", "longitude")
+    fluid = s.fluid
+    read = [fluid.from_grid(fields.vorticity.isel(layer=k)) for k in range(3)]
+    np.testing.assert_allclose(s.absolute(read), whole.x[-1], rtol=0, atol=1e-11)
+    speeds = fluid.velocity(s.relative(whole.x[-1]))
+    np.testing.assert_allclose(fields.eastward_velocity, speeds[0], rtol=0, atol=1e-12)
+    for options in ({"layer": 2}, {"layer": 1, "part": "potential"}, {"part": "stream"}, {"part": "large"}):
+        axes = whole.plot([co.plotting.Picture("vorticity", **options)]).axes[0]
+        texts = [one.get_title() + one.get_ylabel() for one in axes.figure.axes]
+        assert f"layer {options.get('layer', 0)}" in "".join(texts)
+    whole.plot()
+    with refused(ValueError, "layer is 3", "3 from 0"):
+        whole.plot([co.plotting.Picture("vorticity", layer=3)])
+
+
+def test_fields_in_si_units():
+    earth = S.RotatingPlanet(radius=6.371e6, day=86164.1, gravity=0.02, depth=500.0)
+    s = S.layered_qg(12, [[4.0, -4.0], [-4.0, 4.0]], rotation=earth.rotation)
+    sol = co.integrate(s, start_of(s), (0, 0.1), 0.05, co.IsospectralGauss())
+    si = earth.with_units(sol.to_xarray())
+    psi = si.stream_function.isel(layer=0)
+    f = 4 * np.pi / earth.day * np.sin(np.radians(si.latitude))
+    np.testing.assert_allclose(si.height, psi * f / 0.02, rtol=1e-12)
+    assert si.height.attrs["units"] == "m"
+    one = S.sphere_qg(12, 5.0, earth.rotation)
+    alone = earth.with_units(co.integrate(one, one.random(1), (0, 0.1), 0.05, co.IsospectralGauss()).to_xarray())
+    np.testing.assert_allclose(alone.height, alone.stream_function * f / 0.02, rtol=1e-12)
+
+
+def test_what_is_refused():
+    square = [[1.0, -1.0], [-1.0, 1.0]]
+    cases = [
+        (dict(gamma=[[1.0]]), ("gamma", "(1, 1)")),
+        (dict(gamma=[[1.0, -1.0], [-2.0, 2.0]]), ("thickness", "gamma", "-1", "-2", "symmetric")),
+        (dict(gamma=[[-1.0, 1.0], [1.0, -1.0]]), ("gamma", "negative eigenvalue", "-2")),
+        (dict(gamma=square, thicknesses=[1.0, -1.0]), ("thicknesses", "positive")),
+        (dict(gamma=square, lamb=np.eye(3)), ("lamb", "3 layers", "2")),
+        (dict(gamma=square, lamb=[[1.0, 0.0], [0.0, 2.0]]), ("gamma", "lamb", "commute")),
+        (dict(gamma=square, surface="torus", rotation=1.0, N=9), ("torus", "rotation")),
+        (dict(gamma=[[np.nan, 0.0], [0.0, 1.0]]), ("gamma",)),
+    ]  # fmt: skip
+    for arguments, named in cases:
+        with refused((ValueError, TypeError), *named):
+            S.layered_qg(**{"N": 8, **arguments})
+    s = FLOWS["two layers"]
+    with pytest.warns(UserWarning, match="N = "):
+        S.layered_qg(8, 100 * np.array(square))
+    some = co.forces
+    for force, named in (
+        (some.Friction(0.1), ("layer", "0 to 1")),
+        (some.Friction(0.1, layer=2), ("layer is 2", "0 to 1")),
+        (some.Viscosity(0.1, layer="carried"), ("carried", "0 to 1")),
+        (some.SelectiveDecay(0.1), ("layers", "Viscosity")),
+        (some.DoubleBracketDamping(0.1), ("layers", "Friction")),
+        (some.HeatBath(0.1, 0.1, seed=1), ("layers",)),
+    ):
+        with refused(ValueError, "layered_qg", *named):
+            s.with_forces(force)
+    with refused(ValueError, "BetaPlane", "layers", "rotation"):
+        FLOWS["torus"].with_forces(some.BetaPlane(1.0))
+    with refused(ValueError, "layer is 1", "sphere_euler"):
+        s.fluid.with_forces(some.Friction(0.1, layer=1))
+    with refused(ValueError, "(9, 9)", "(2, 9, 9)"):
+        co.integrate(s, s.fluid.random(1), (0, 1), 0.1, co.IsospectralGauss())
+    with refused(ValueError, "torus", "Rossby"):
+        FLOWS["torus"].rossby_wave(2, 1)
+    with refused((ValueError, TypeError), "layered_qg"):
+        co.integrate(s, start_of(s), (0, 1), 0.1, co.LineSplitting())
