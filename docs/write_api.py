@@ -22,6 +22,7 @@ from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.lattices import crystals
+from coadjoint.systems.lattices.spin_model import SpinModel
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
@@ -55,9 +56,16 @@ MEMBERS_OF = (
         "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
-    ("A crystal", crystals.Crystal, "bonds subcrystal"),
+    ("A crystal", crystals.Crystal, "bonds site subcrystal"),
     ("A bond of a crystal", crystals.Bond, "exchange"),
     ("A field of vectors in a file", ovf.OvfField, "spins"),
+    ("A site of a crystal", crystals.Site, "single_ion"),
+    (
+        "A spin model on a crystal",
+        SpinModel,
+        "cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites size "
+        "spin units vacancies",
+    ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
@@ -90,6 +98,7 @@ ATTRIBUTES_NOT_LISTED = (
     co.methods.Method,
     co.Splitting,
     co.PreparedRun,
+    SpinModel,
 )
 """Classes whose annotated attributes are not for users."""
 NAMESPACES = (

@@ -22,7 +22,7 @@ from coadjoint.systems.lattices.space_groups import (
     product,
     rotations_in_space,
 )
-from coadjoint.validation import read_finite, read_positive
+from coadjoint.validation import read_choice, read_finite, read_integer, read_positive
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -31,12 +31,90 @@ MAX_SITES = 2000  # of a cell
 MAX_BONDS = 2_000_000  # directed, of one cell
 COLLISION = 0.1  # least distance of two sites, in units of (volume / sites)^(1/3)
 MATRIX_TOLERANCE = 1e-6  # of typed exchange matrices, relative to the largest entry
+MAX_ENTRY = 1e100  # of matrices, as of couplings of spins
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 AXIAL = ((1, 2), (2, 0), (0, 1))  # entries of the antisymmetric part that are D_x, D_y, D_z
 
 
+class AllowedMatrices:
+    """Matrices of a bond or a site, of which symmetry allows some and takes one to all equivalent places."""
+
+    _rotations: Floats  # from the representative to each of its class
+    _kept: Floats  # rotations that keep the representative
+    _reversed: npt.NDArray[np.bool_]  # which of them transpose its matrix, as those that exchange the ends of a bond
+
+    def _propagated(self, matrix: Any, what: str, where: str) -> Floats:
+        """Return the matrices of all of the class from that of the representative; ValueError if it is not allowed."""
+        J = read_finite(matrix, f"the {what}")
+        if J.ndim == 0:
+            J = J * np.eye(3)
+        if J.shape != (3, 3):
+            raise ValueError(f"the {what} has shape {J.shape}; give a number, or a matrix of shape (3, 3)")
+        size = np.abs(J).max()
+        if size > MAX_ENTRY:
+            raise ValueError(f"the {what} has numbers beyond {MAX_ENTRY:g}; take larger units")
+        near = self._projected(J)
+        if np.abs(near - J).max() > MATRIX_TOLERANCE * size:
+            rounded = [[float(f"{value:.9g}") for value in row] for row in near.tolist()]
+            raise ValueError(
+                f"the {what} {short(J.tolist(), 120)} is not allowed by symmetry on {where}, whose form is "
+                f"{'; '.join(' '.join(row) for row in self._form())}; the nearest allowed matrix is {rounded}"
+            )
+        R = self._rotations
+        if np.abs(near - J).max() <= 1e-14 * size:  # allowed as given
+            near = J
+        images = _clean(product(product(R, near), R.swapaxes(-1, -2)), size)
+        equal = np.abs(images - near).max(axis=(1, 2)) <= 1e-14 * size  # such as isotropic exchange, without round-off
+        return np.where(equal[:, None, None], near, images)
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Basis of the allowed matrices."""
+        return np.concatenate([self._reduced(SYMMETRIC, 1.0), self._reduced(AXIAL, -1.0)])
+
+    def _projected(self, J: Floats) -> Floats:
+        """Return the nearest allowed matrix, the mean over the operations that keep the representative."""
+        images = product(product(self._kept, J), self._kept.swapaxes(-1, -2))
+        images[self._reversed] = images[self._reversed].swapaxes(-1, -2)
+        return _clean(images.sum(axis=0) / len(images), np.abs(J).max())
+
+    def _reduced(self, entries: tuple[tuple[int, int], ...], sign: float) -> Floats:
+        """Return the allowed matrices that are symmetric (1) or antisymmetric (-1), in reduced row echelon form."""
+        rows = []
+        for a, b in entries:
+            unit = np.zeros((3, 3))
+            unit[b, a] = sign
+            unit[a, b] = 1.0
+            image = self._projected(unit)
+            rows.append([image[entry] for entry in entries])
+        reduced, found = np.array(rows), 0
+        for column in range(len(entries)):
+            pivot = found + int(np.abs(reduced[found:, column]).argmax()) if found < len(rows) else found
+            if found == len(rows) or abs(reduced[pivot, column]) < 1e-9:
+                continue
+            reduced[[found, pivot]] = reduced[[pivot, found]]
+            reduced[found] /= reduced[found, column]
+            others = np.arange(len(rows)) != found
+            reduced[others] -= reduced[others, column][:, None] * reduced[found]
+            found += 1
+        matrices = np.zeros((found, 3, 3))
+        for place, (a, b) in enumerate(entries):
+            matrices[:, b, a] = sign * reduced[:found, place]
+            matrices[:, a, b] = reduced[:found, place]
+        return np.where(np.abs(matrices) < 1e-9, 0.0, matrices)
+
+    def _form(self) -> list[list[str]]:
+        return [[_combination(self.basis[:, a, b]) for b in range(3)] for a in range(3)]
+
+    def _table(self) -> list[str]:
+        """Return the allowed form, a line for each row."""
+        form = self._form()
+        widths = [max(len(row[b]) for row in form) for b in range(3)]
+        return [f"  [ {'  '.join(text.rjust(w) for text, w in zip(row, widths, strict=True))} ]" for row in form]
+
+
 @dataclass(frozen=True, eq=False)
-class Bond:
+class Bond(AllowedMatrices):
     """A class of bonds that the symmetry of a crystal makes equal, represented by one of them.
 
     `Crystal.bonds` returns them. Sites are numbered as in `Crystal.labels`, from 0 on; a bond joins site i of a cell to
@@ -95,9 +173,9 @@ class Bond:
     sites: Integers
     offsets: Integers
     vectors: Floats
-    _rotations: Floats = field(repr=False)  # from the representative to each bond
-    _kept: Floats = field(repr=False)  # rotations that keep the representative
-    _reversed: npt.NDArray[np.bool_] = field(repr=False)  # which of them exchange its ends
+    _rotations: Floats = field(repr=False)
+    _kept: Floats = field(repr=False)
+    _reversed: npt.NDArray[np.bool_] = field(repr=False)
 
     def exchange(self, matrix: Any) -> Floats:
         """Return the exchange matrices of all equivalent bonds, from that of the representative.
@@ -128,72 +206,12 @@ class Bond:
         >>> compass.diagonal(axis1=1, axis2=2).tolist()
         [[1.0, 0.0, 0.2], [0.0, 1.0, 0.2]]
         """
-        J = read_finite(matrix, "the exchange matrix")
-        if J.ndim == 0:
-            J = J * np.eye(3)
-        if J.shape != (3, 3):
-            raise ValueError(f"the exchange matrix has shape {J.shape}; give a number, or a matrix of shape (3, 3)")
-        near, size = self._projected(J), np.abs(J).max()
-        if np.abs(near - J).max() > MATRIX_TOLERANCE * size:
-            rounded = [[float(f"{value:.9g}") for value in row] for row in near.tolist()]
-            raise ValueError(
-                f"the exchange matrix {short(J.tolist(), 120)} is not allowed by symmetry on bond {self.name} "
-                f"({self._ends()}), whose form is {'; '.join(' '.join(row) for row in self._form())}; the nearest "
-                f"allowed matrix is {rounded}"
-            )
-        R = self._rotations
-        if np.abs(near - J).max() <= 1e-14 * size:  # allowed as given
-            near = J
-        images = _clean(product(product(R, near), R.swapaxes(-1, -2)), size)
-        equal = np.abs(images - near).max(axis=(1, 2)) <= 1e-14 * size  # such as isotropic exchange, without round-off
-        return np.where(equal[:, None, None], near, images)
-
-    @cached_property
-    def basis(self) -> Floats:
-        """Basis of the allowed exchange matrices."""
-        return np.concatenate([self._reduced(SYMMETRIC, 1.0), self._reduced(AXIAL, -1.0)])
-
-    def _projected(self, J: Floats) -> Floats:
-        """Return the nearest allowed matrix, the mean over the operations that keep the bond."""
-        images = product(product(self._kept, J), self._kept.swapaxes(-1, -2))
-        images[self._reversed] = images[self._reversed].swapaxes(-1, -2)
-        return _clean(images.sum(axis=0) / len(images), np.abs(J).max())
-
-    def _reduced(self, entries: tuple[tuple[int, int], ...], sign: float) -> Floats:
-        """Return the allowed matrices that are symmetric (1) or antisymmetric (-1), in reduced row echelon form."""
-        rows = []
-        for a, b in entries:
-            unit = np.zeros((3, 3))
-            unit[b, a] = sign
-            unit[a, b] = 1.0
-            image = self._projected(unit)
-            rows.append([image[entry] for entry in entries])
-        reduced, found = np.array(rows), 0
-        for column in range(len(entries)):
-            pivot = found + int(np.abs(reduced[found:, column]).argmax()) if found < len(rows) else found
-            if found == len(rows) or abs(reduced[pivot, column]) < 1e-9:
-                continue
-            reduced[[found, pivot]] = reduced[[pivot, found]]
-            reduced[found] /= reduced[found, column]
-            others = np.arange(len(rows)) != found
-            reduced[others] -= reduced[others, column][:, None] * reduced[found]
-            found += 1
-        matrices = np.zeros((found, 3, 3))
-        for place, (a, b) in enumerate(entries):
-            matrices[:, b, a] = sign * reduced[:found, place]
-            matrices[:, a, b] = reduced[:found, place]
-        return np.where(np.abs(matrices) < 1e-9, 0.0, matrices)
-
-    def _form(self) -> list[list[str]]:
-        return [[_combination(self.basis[:, a, b]) for b in range(3)] for a in range(3)]
+        return self._propagated(matrix, "exchange matrix", f"bond {self.name} ({self._ends()})")
 
     def _ends(self) -> str:
         return f"{self.kinds[0]} {self.first} to {self.kinds[1]} {self.second} at offset {self.offset}"
 
     def __str__(self) -> str:
-        form = self._form()
-        widths = [max(len(row[b]) for row in form) for b in range(3)]
-        lines = [f"  [ {'  '.join(text.rjust(w) for text, w in zip(row, widths, strict=True))} ]" for row in form]
         antisymmetric = 0.5 * (self.basis - self.basis.swapaxes(1, 2))
         vector = ", ".join(_combination(antisymmetric[:, a, b]) for a, b in AXIAL)
         first = (
@@ -201,10 +219,81 @@ class Bond:
             f"{self.coordination} at {self.kinds[0]} {self.first}"
         )
         moriya = f"allowed Dzyaloshinskii-Moriya vector: ({vector})"
-        return "\n".join([first, "allowed exchange:", *lines, moriya])
+        return "\n".join([first, "allowed exchange:", *self._table(), moriya])
 
     def __repr__(self) -> str:
         return f"<bond {self.name}, {self._ends()}, length {self.distance:.6g}, {self.multiplicity} in a cell>"
+
+
+@dataclass(frozen=True, eq=False)
+class Site(AllowedMatrices):
+    """A class of sites that the symmetry of a crystal makes equal, represented by one of them.
+
+    `Crystal.site` returns them. A single-ion matrix A of a site is the energy S . A S.
+
+    Attributes
+    ----------
+    label : str
+        Label of the representative.
+    number : int
+        Its number in `Crystal.labels`.
+    sites : (multiplicity,) array
+        Numbers of all equivalent sites of a cell; the representative is the first of them.
+    basis : (k, 3, 3) array
+        A basis of the single-ion matrices that symmetry allows: A, B, ... of ``print(site)``.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> tetragonal = co.spins.crystal(lattice=(1, 1, 2, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+    >>> print(tetragonal.site("Mn"))
+    site Mn 0, 1 in a cell
+    allowed single-ion matrix:
+      [ A  0  0 ]
+      [ 0  A  0 ]
+      [ 0  0  B ]
+    """
+
+    label: str
+    number: int
+    sites: Integers
+    _rotations: Floats = field(repr=False)
+    _kept: Floats = field(repr=False)
+    _reversed: npt.NDArray[np.bool_] = field(repr=False)
+
+    def single_ion(self, matrix: Any) -> Floats:
+        """Return the single-ion matrices of all equivalent sites, from that of the representative.
+
+        Parameters
+        ----------
+        matrix : (3, 3) array_like
+            A of S . A S, symmetric, in the Cartesian frame of the lattice; an easy axis has a negative entry.
+
+        Returns
+        -------
+        (multiplicity, 3, 3) array
+            R A R^T for each of `sites`, with the rotation R that takes the representative there.
+
+        Raises
+        ------
+        ValueError
+            Symmetry does not allow the matrix; the message has the allowed form.
+
+        Examples
+        --------
+        >>> import numpy as np, coadjoint as co
+        >>> tetragonal = co.spins.crystal(lattice=(1, 1, 2, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+        >>> tetragonal.site("Mn").single_ion(np.diag([0.0, 0.0, -0.1])).shape
+        (1, 3, 3)
+        """
+        return self._propagated(matrix, "single-ion matrix", f"site {self.label} {self.number}")
+
+    def __str__(self) -> str:
+        first = f"site {self.label} {self.number}, {len(self.sites)} in a cell"
+        return "\n".join([first, "allowed single-ion matrix:", *self._table()])
+
+    def __repr__(self) -> str:
+        return f"<site {self.label} {self.number}, {len(self.sites)} in a cell>"
 
 
 class Bonds(Sequence[Bond]):
@@ -345,6 +434,51 @@ class Crystal:
             SymmetryOperations(self.rotations, self.translations, self.space_group),
             self._tolerance,
         )
+
+    def site(self, site: str | int) -> Site:
+        """Return the class of equivalent sites of a label or a number, with the single-ion matrices that it allows.
+
+        Parameters
+        ----------
+        site : str or int
+            A label, if all sites that have it are equivalent; or the number of the representative in `labels`.
+
+        Returns
+        -------
+        Site
+
+        Raises
+        ------
+        ValueError, TypeError
+            An unknown site, or a label of sites that symmetry does not make equal.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> cubic = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Fe": (0, 0, 0)})
+        >>> cubic.site("Fe"), len(cubic.site(0).basis)
+        (<site Fe 0, 1 in a cell>, 1)
+        """
+        if isinstance(site, str):
+            number = self.labels.index(read_choice(site, "site", dict.fromkeys(self.labels)))
+            others = [k for k, label in enumerate(self.labels) if label == site]
+            first = [min(self._images[:, k].tolist()) for k in others]
+            if len(set(first)) > 1:
+                raise ValueError(
+                    f"the sites {others} have the label {site}, and symmetry does not make them equal; give the number "
+                    f"of one of each kind, {sorted(set(first))}"
+                )
+        else:
+            number = read_integer(site, "site", 0, len(self.labels) - 1)
+        images = self._images[:, number]
+        found = sorted(set(images.tolist()), key=lambda k: (k != number, k))
+        trace = self.rotations.trace(axis1=1, axis2=2)
+        ways = [max(np.flatnonzero(images == k).tolist(), key=lambda way: int(trace[way])) for k in found]
+        kept = np.flatnonzero(images == number)
+        numbers = np.array(found, dtype=np.int64)
+        numbers.flags.writeable = False
+        stabilizer, transposed = self._turns[np.tile(kept, 2)], np.arange(2 * len(kept)) >= len(kept)
+        return Site(self.labels[number], number, numbers, self._turns[ways], stabilizer, transposed)
 
     def bonds(self, max_distance: float) -> Bonds:
         """Return the bonds up to a length, by shell, in classes of bonds that symmetry makes equal.

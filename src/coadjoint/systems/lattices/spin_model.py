@@ -1,0 +1,772 @@
+"""Spin models on crystals: exchange, anisotropies, fields and dipoles, declared bond by bond and site by site."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
+from coadjoint.systems.forces.base import Force, forces_text, read_seed
+from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field
+from coadjoint.systems.lattices.crystals import AXIAL, Bond, Crystal
+from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
+from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, MAX_SITES, edges_of_bonds, read_flags, read_sizes
+from coadjoint.systems.lattices.spin_lattice import (
+    MAX_COUPLING,
+    MAX_STORED_VALUES,
+    known_integrals,
+    on_spins,
+    precession,
+)
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.validation import as_tuples, read_choice, read_finite, read_number, set_fields
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+AXES = "abc"
+
+
+class Units(NamedTuple):
+    """Constants of nature in the units of a model, and its units of energy, field, time, temperature and length."""
+
+    hbar: float
+    mu_B: float
+    k_B: float
+    dipole: float  # mu0 mu_B^2 / (4 pi)
+    names: tuple[str, str, str, str, str]
+
+
+# CODATA 2022; hbar and k_B are exact.
+UNITS = {
+    "natural": Units(1.0, 1.0, 1.0, 1.0, ("", "", "", "", "")),
+    "meV": Units(
+        0.6582119569509067,
+        0.057883817982,
+        0.08617333262145179,
+        0.053681511053262,
+        (" meV", " T", " ps", " K", " angstrom"),
+    ),
+}
+
+
+class Coupling(NamedTuple):
+    """Matrices of bonds of a cell, that act on unit vectors; `bonds` (k, 5) are sites and offsets."""
+
+    what: str
+    bond: str
+    bonds: Integers
+    matrices: Floats
+    text: str
+
+
+class Anisotropy(NamedTuple):
+    """Single-ion matrices of sites of a cell, that act on unit vectors."""
+
+    sites: Integers
+    matrices: Floats
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Declaration:
+    """What a user has declared of a spin model."""
+
+    crystal: Crystal
+    size: tuple[int, int, int]
+    periodic: tuple[bool, bool, bool]
+    units: str
+    spin: Floats  # of the sites of a cell
+    g: Floats
+    occupied: Integers | None = None
+    couplings: tuple[Coupling, ...] = ()
+    anisotropies: tuple[Anisotropy, ...] = ()
+    field: Any = None
+    dipolar: bool = False
+
+
+class SpinModel(LiePoissonSystem):
+    """Spins on the sites of a crystal, to which exchange, anisotropies, fields and dipoles are added.
+
+    `co.systems.spins` makes models without energy. Each method returns a new model, and leaves the old one as it was;
+    the forces of a model are kept. A model is a system as `spin_lattice` returns it: runs, `co.thermal_states`,
+    `co.equilibrium`, archives and batches take it. ``print`` shows its terms with their signs.
+
+    Attributes
+    ----------
+    crystal : Crystal
+        The crystal; bonds and sites of the terms are its own.
+    size : tuple of int
+        Cells along the three lattice vectors.
+    periodic : tuple of bool
+        Whether the lattice is periodic along each.
+    units : str
+        ``"natural"`` or ``"meV"``.
+    spin, moments : (sites,) array
+        Length S of each spin, and its moment g mu_B S in units of mu_B, in the order of the state.
+    positions : (sites, 3) array
+        Cartesian positions, in the unit of the crystal.
+    cells, sites : (sites, 3) and (sites,) arrays of int
+        Cell of each spin, and number of its site in the cell.
+    boltzmann : float
+        Energy of a unit of temperature: 0.0862 meV for units of meV, else 1.
+    """
+
+    def __init__(self, declared: Declaration) -> None:
+        set_fields(self, _declared=declared)
+        units, cell = UNITS[declared.units], len(declared.crystal.labels)
+        sites = cell * math.prod(declared.size)
+        check_available_memory(200 * sites, f"{short(sites)} spins")
+        edges, blocks, field, driven = self._edges(sites)
+        occupied = declared.occupied
+        count = sites if occupied is None else len(occupied)
+        matrices = np.zeros((cell, 3, 3))
+        for anisotropy in declared.anisotropies:
+            matrices[anisotropy.sites] += anisotropy.matrices
+        on_site = Blocks(matrices, self.sites)
+        if not np.any(matrices):
+            on_site = Blocks(np.zeros((1, 3, 3)), np.broadcast_to(np.int64(0), count))
+        H: Any = coupled_spins(count, edges, blocks, Blocks(2.0 * on_site.distinct, on_site.number), -field)
+        uniform = None
+        if driven is not None:
+            driving, uniform = driving_field(driven, count)
+            H = H + driving
+        if declared.dipolar:
+            moments = declared.g * declared.spin
+            cells = DipolarCells(
+                declared.crystal.lattice,
+                declared.crystal.positions @ declared.crystal.lattice,
+                declared.size,
+                declared.periodic[0],
+                moments,
+                occupied,
+            )
+            H = H + dipolar_energy(cells, units.dipole)
+        mu = units.hbar * (self.spin if np.ptp(declared.spin) else declared.spin[0])
+        plain = driven is None and not declared.dipolar
+        J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
+        exact = precession(count, edges, J, T if len(edges) else np.zeros((3, 3)), K, field, mu) if plain else None
+        integrals = known_integrals(count, T, np.zeros(3), K, field, uniform, mu) if not declared.dipolar else {}
+        super().__init__(
+            hamiltonian=H,
+            **on_spins(count, mu),
+            parameters=_parameters(count, edges, blocks, on_site, field, mu) if plain else None,
+            exact=exact,
+            integrals=integrals,
+            layout={"lattice": "graph"},
+        )
+        set_fields(self, boltzmann=units.k_B)
+
+    def _edges(self, sites: int) -> tuple[Integers, Blocks, Floats, Callable[..., Any] | None]:
+        """Return edges, their matrices, the energies of spins in a constant field, and a function for another."""
+        declared = self._declared
+        bonds, distinct, kinds = _merged(declared)
+        check_available_memory(BYTES_PER_EDGE * len(bonds) * math.prod(declared.size), f"bonds of {short(sites)} spins")
+        cell = len(declared.crystal.labels)
+        by_bond = edges_of_bonds(cell, [(i, j, tuple(n)) for i, j, *n in bonds], declared.size, declared.periodic)
+        numbers = np.repeat(np.array(kinds, dtype=np.int64), [len(part) for part in by_bond])
+        edges = np.concatenate([np.zeros((0, 2), dtype=np.int64), *by_bond])
+        if declared.occupied is not None:
+            new = np.full(sites, -1)
+            new[declared.occupied] = np.arange(len(declared.occupied))
+            edges = new[edges]
+            both = np.all(edges >= 0, axis=1)
+            edges, numbers = edges[both], numbers[both]
+        moments = UNITS[declared.units].mu_B * (
+            self.moments if np.ptp(declared.g * declared.spin) else self.moments[:1]
+        )
+        field = declared.field
+        if field is None:
+            field = np.zeros(3)
+        if callable(field):
+            return edges, Blocks(distinct, numbers), np.zeros(3), _scaled(field, moments, len(self.sites))
+        field = moments[:, None] * field
+        return edges, Blocks(distinct, numbers), field[0] if len(field) == 1 else field, None
+
+    @property
+    def crystal(self) -> Crystal:
+        """The crystal."""
+        return self._declared.crystal
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Cells along the three lattice vectors."""
+        return self._declared.size
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        """Whether the lattice is periodic along each lattice vector."""
+        return self._declared.periodic
+
+    @property
+    def units(self) -> str:
+        """``"natural"`` or ``"meV"``."""
+        return self._declared.units
+
+    @property
+    def _numbers(self) -> Integers:
+        """Numbers of the occupied sites among all."""
+        declared = self._declared
+        if declared.occupied is not None:
+            return declared.occupied
+        return np.arange(len(declared.crystal.labels) * math.prod(declared.size))
+
+    @property
+    def sites(self) -> Integers:
+        """Number of the site of each spin in its cell, (sites,)."""
+        return self._numbers % len(self.crystal.labels)
+
+    @property
+    def cells(self) -> Integers:
+        """Cell of each spin, (sites, 3)."""
+        return np.stack(np.unravel_index(self._numbers // len(self.crystal.labels), self.size), axis=-1)
+
+    @property
+    def spin(self) -> Floats:
+        """Length S of each spin, (sites,)."""
+        return self._declared.spin[self.sites]
+
+    @property
+    def moments(self) -> Floats:
+        """Moment g S of each spin in units of mu_B, (sites,)."""
+        return (self._declared.g * self._declared.spin)[self.sites]
+
+    @property
+    def positions(self) -> Floats:
+        """Cartesian position of each spin, (sites, 3)."""
+        return (self.cells + self.crystal.positions[self.sites]) @ self.crystal.lattice
+
+    def exchange(self, bond: Bond, J: Any) -> Self:
+        """Return the model with the energy ``S_i . J S_j`` of a bond and all equivalent ones; each bond counts once.
+
+        J > 0 is antiferromagnetic, as for SpinW and Sunny, and opposite to ``exchange=`` of `spin_lattice`.
+
+        Parameters
+        ----------
+        bond : Bond
+            One of ``crystal.bonds(max_distance)``.
+        J : float or (3, 3) array_like
+            Exchange of the representative in the Cartesian frame of the lattice, an energy for spins of the lengths S:
+            the energy of parallel unit vectors is ``J S_i S_j``. Its antisymmetric part is a Dzyaloshinskii-Moriya
+            coupling.
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            A bond of another crystal, or one that has exchange already; a matrix that symmetry forbids, with the
+            allowed form; cells that join two sites twice.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> chain = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"Cu": (0, 0, 0)})
+        >>> model = co.systems.spins(chain, (4, 1, 1)).exchange(chain.bonds(1)["1"], 0.5)
+        >>> model.energy([0, 0, 1, 0, 0, -1] * 2)                       # antiparallel neighbours
+        -2.0
+        """
+        self._check_bond(bond, "exchange")
+        return self._coupled("exchange", bond, bond.exchange(J), _described(np.asarray(J, dtype=np.float64)))
+
+    def dzyaloshinskii_moriya(self, bond: Bond, D: Any) -> Self:
+        """Return the model with the energy ``D . (S_i x S_j)`` of a bond and all equivalent ones.
+
+        Parameters
+        ----------
+        bond : Bond
+            One of ``crystal.bonds(max_distance)``; i is its first site.
+        D : (3,) array_like
+            The vector of the representative, in the Cartesian frame of the lattice (energy for spins of lengths S).
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            As for `exchange`; a vector that symmetry forbids.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> chain = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"Cu": (0, 0, 0)}, space_group="P 1")
+        >>> model = co.systems.spins(chain, (4, 1, 1)).dzyaloshinskii_moriya(chain.bonds(1)["1"], (0, 0, 0.5))
+        >>> model.energy([1, 0, 0, 0, 1, 0, -1, 0, 0, 0, -1, 0])        # a spiral of four spins
+        2.0
+        """
+        self._check_bond(bond, "dzyaloshinskii_moriya")
+        vector = read_finite(D, "D")
+        if vector.shape != (3,):
+            raise ValueError(f"D has shape {vector.shape}; give a vector (3,)")
+        matrix = np.zeros((3, 3))
+        for (a, b), value in zip(AXIAL, vector.tolist(), strict=True):
+            matrix[a, b], matrix[b, a] = value, -value
+        return self._coupled("dzyaloshinskii_moriya", bond, bond.exchange(matrix), f"D = {vector.tolist()}")
+
+    def single_ion(self, site: str | int, matrix: Any) -> Self:
+        """Return the model with the energy ``S_i . A S_i`` of a site and all equivalent ones.
+
+        Parameters
+        ----------
+        site : str or int
+            A label, or the number of a site of the cell, as for ``crystal.site``, whose ``print`` shows the allowed
+            matrices.
+        matrix : (3, 3) array_like
+            A, symmetric, in the Cartesian frame of the lattice (energy for spins of length S). An easy axis has a
+            negative entry: ``np.diag([0, 0, -D])``.
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            An unknown site, or one that has a matrix already; a matrix that symmetry forbids, with the allowed form.
+
+        Examples
+        --------
+        >>> import numpy as np, coadjoint as co
+        >>> tetragonal = co.spins.crystal(lattice=(1, 1, 2, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+        >>> model = co.systems.spins(tetragonal, (1, 1, 1), spin=2).single_ion("Mn", np.diag([0, 0, -0.1]))
+        >>> model.energy([0, 0, 1])
+        -0.4
+        """
+        chosen = self.crystal.site(site)
+        matrices = chosen.single_ion(matrix) * (self._declared.spin[chosen.sites] ** 2)[:, None, None]
+        for known in self._declared.anisotropies:
+            if set(known.sites.tolist()) & set(chosen.sites.tolist()):
+                raise ValueError(
+                    f"site {chosen.label} {chosen.number} has a single-ion matrix; give the sum of both once"
+                )
+        matrices = 0.5 * (matrices + matrices.swapaxes(1, 2))  # of which the two triangles differ by rounding
+        _check_sizes(matrices, "the single-ion matrix")
+        text = f"site {chosen.label} {chosen.number}: A = {np.asarray(matrix).tolist()}"
+        return self._with(anisotropies=(*self._declared.anisotropies, Anisotropy(chosen.sites, matrices, text)))
+
+    def field(self, B: Any) -> Self:
+        """Return the model in a magnetic field, with the energy ``-g mu_B B . S_i`` of each spin.
+
+        Positive moments g align with the field. Spins are angular momenta, and those of electrons are opposite to their
+        moments: with ``g=-2`` states are these spins, as in SpinW and Sunny, with the handedness of their precession.
+
+        Parameters
+        ----------
+        B : (3,), (sites, 3), or function of the time that returns one of them
+            The field in the Cartesian frame: in tesla for units of meV, else an energy over the moment g S. It replaces
+            a field that the model has. Numba compiles the function.
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            Another shape, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> ion = co.spins.crystal(lattice=(3, 3, 3, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+        >>> round(co.systems.spins(ion, (1, 1, 1), spin=2.5, units="meV").field((0, 0, 1.0)).energy([0, 0, 1]), 4)
+        -0.2894
+        """
+        if not callable(B):
+            B = read_finite(B, "B")
+            if B.shape not in ((3,), (len(self.sites), 3)):
+                raise ValueError(
+                    f"B has shape {B.shape}; give (3,), or ({len(self.sites)}, 3) with one row for each spin"
+                )
+            _check_sizes(B, "B")
+        return self._with(field=B)
+
+    def dipolar(self) -> Self:
+        """Return the model with the dipolar energy of its moments, by FFT on cells.
+
+        Open lattices have the sum over all pairs of sites, and lattices that are periodic along all three axes Ewald's
+        sum over all their images, of a sample in a surrounding conductor: it has no demagnetization field, and parallel
+        moments on a cubic lattice have the field mu0 M/3. For a shape with demagnetization tensor N add
+        ``mu0 V (M . N M) / 2``. Splittings do not support it; `GaussLegendre(1)` conserves the energy.
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError
+            A lattice that is periodic along one or two axes; a model with dipoles.
+
+        References
+        ----------
+        S. W. de Leeuw, J. W. Perram, E. R. Smith, Proc. R. Soc. Lond. A 373, 27 (1980).
+
+        Examples
+        --------
+        The energy of one dipole in a periodic cube is -mu0 mu^2/(6 V), in natural units -2 pi/3:
+
+        >>> import numpy as np, coadjoint as co
+        >>> cube = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Fe": (0, 0, 0)})
+        >>> energy = co.systems.spins(cube, (1, 1, 1), g=1).dipolar().energy([0, 0, 1])
+        >>> bool(abs(energy + 2 * np.pi / 3) < 1e-13)
+        True
+        """
+        if self._declared.dipolar:
+            raise ValueError("the model has dipoles; call dipolar once")
+        if len(set(self.periodic)) > 1:
+            raise ValueError(
+                f"dipolar is given for a lattice with periodic={self.periodic}; dipoles are summed over open lattices, "
+                "and over those that are periodic along all axes"
+            )
+        return self._with(dipolar=True)
+
+    def vacancies(self, fraction: Any, seed: int) -> Self:
+        """Return the model without a random part of its spins; states have the occupied sites only.
+
+        Parameters
+        ----------
+        fraction : float or mapping
+            Removed fraction of all sites, or label -> fraction of its sites, from 0 to less than 1; the number of
+            vacancies is rounded.
+        seed : int
+            Seed of the choice, from 0 to 2^62.
+
+        Returns
+        -------
+        SpinModel
+            Without the bonds to vacancies. ``cells`` and ``sites`` say where its spins are.
+
+        Raises
+        ------
+        ValueError, TypeError
+            A fraction out of range, an unknown label, a model that has vacancies or a field for each spin, or no spin
+            that remains.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> cube = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Fe": (0, 0, 0)})
+        >>> co.systems.spins(cube, (4, 4, 4)).vacancies(0.25, seed=1).dim
+        144
+        """
+        declared, labels = self._declared, dict.fromkeys(self.crystal.labels)
+        if declared.occupied is not None:
+            raise ValueError("the model has vacancies; give all of them in one call")
+        if not callable(declared.field) and np.ndim(declared.field) == 2:
+            raise ValueError(
+                "the model has a field for each spin; remove spins first, then give the field of the others"
+            )
+        given = fraction if isinstance(fraction, Mapping) else {None: fraction}
+        generator, numbers = np.random.default_rng(read_seed(seed, "seed")), self._numbers
+        removed = np.zeros(len(numbers), dtype=bool)
+        for label, value in given.items():
+            part = read_number(value, "fraction")
+            if not 0.0 <= part < 1.0:
+                raise ValueError(f"fraction is {part!r}; give a number from 0 to less than 1")
+            places = numbers
+            if label is not None:
+                of_label = np.array([one == read_choice(label, "label", labels) for one in self.crystal.labels])
+                places = numbers[of_label[self.sites]]
+            removed[generator.permutation(places)[: round(part * len(places))]] = True
+        if removed.all():
+            raise ValueError(f"fraction is {short(fraction)}, which leaves no spin; give a smaller one")
+        return self._with(occupied=numbers[~removed])
+
+    def with_forces(self, *forces: Force) -> Self:
+        """Return the model with damping, torques or noise, see `System.with_forces`.
+
+        Parameters
+        ----------
+        *forces : Force
+            One or more of ``co.forces``. A ``temperature`` is in the unit of the model, kelvin for units of meV; the
+            forces of the new model have Boltzmann's constant times it, an energy, and are taken as they are by other
+            models.
+
+        Returns
+        -------
+        SpinModel
+        """
+        return super().with_forces(*(_in_energies(force, self.boltzmann) for force in forces))
+
+    def _with(self, **changes: Any) -> Self:
+        changed = type(self)(replace(self._declared, **changes))
+        return changed._with_acting(self.forces) if self.forces else changed
+
+    def _check_bond(self, bond: Any, what: str) -> None:
+        if not isinstance(bond, Bond):
+            raise TypeError(f'bond is {short(bond)}; give one of crystal.bonds(max_distance), such as bonds["1"]')
+        crystal = self.crystal
+        known = max(bond.first, bond.second) < len(crystal.labels)
+        ends = (crystal.labels[bond.first], crystal.labels[bond.second]) if known else ()
+        if ends == bond.kinds:
+            step = crystal.positions[bond.second] + bond.offset - crystal.positions[bond.first]
+            known = bool(np.abs(step @ crystal.lattice - bond.vector).max() <= 1e-9 * bond.distance)
+        if ends != bond.kinds or not known:
+            raise ValueError(f"{bond!r} is of another crystal than {crystal!r}; take one of model.crystal.bonds")
+        if any(one.what == what and one.bond == bond.name for one in self._declared.couplings):
+            raise ValueError(f"bond {bond.name} has {what} in this model; give the sum of both once")
+
+    def _coupled(self, what: str, bond: Bond, matrices: Floats, text: str) -> Self:
+        lengths = self._declared.spin[bond.sites]
+        matrices = matrices * (lengths[:, 0] * lengths[:, 1])[:, None, None]
+        return self._with_coupling(what, bond.name, np.column_stack([bond.sites, bond.offsets]), matrices, text)
+
+    def _with_coupling(self, what: str, bond: str, bonds: Integers, matrices: Floats, text: str) -> Self:
+        _check_sizes(matrices, "the coupling")
+        return self._with(couplings=(*self._declared.couplings, Coupling(what, bond, bonds, matrices, text)))
+
+    def _text(self) -> str:
+        names = [f"{one.what} on {one.bond}" for one in self._declared.couplings]
+        names += [f"single_ion on {one.text.partition(':')[0]}" for one in self._declared.anisotropies]
+        names += ["field"] * (self._declared.field is not None) + ["dipolar"] * self._declared.dipolar
+        terms = ", ".join(names) if names else "no energy"
+        return (
+            f"<{len(self.sites)} spins on {self.crystal!r}, {_cells_text(self.size)} cells: {short(terms, 120)[1:-1]}>"
+        )
+
+    def __str__(self) -> str:
+        declared, units = self._declared, UNITS[self.units]
+        energy, tesla = units.names[:2]
+        kinds = dict.fromkeys(
+            f"{label}: S = {S:.6g}, moment {g * S:.6g} mu_B"
+            for label, S, g in zip(self.crystal.labels, declared.spin.tolist(), declared.g.tolist(), strict=True)
+        )
+        lines = [
+            f"{len(self.sites)} spins, {_cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
+            "H = sum of S_i . J S_j + D . (S_i x S_j) over bonds + S_i . A S_i - g mu_B B . S_i over sites",
+            *kinds,
+        ]
+        for one in declared.couplings:
+            lines.append(f"bond {one.bond}: {one.text}{energy}")
+        lines += [one.text + energy for one in declared.anisotropies]
+        if declared.field is not None:
+            shown = "a function of the time" if callable(declared.field) else short(declared.field.tolist(), 60)
+            lines.append(f"field B = {shown}{tesla}")
+        lines += ["dipoles"] * declared.dipolar + [f"forces: {forces_text(self.forces)}"] * bool(self.forces)
+        return "\n".join(lines)
+
+    _declared: Declaration
+
+
+@suggest_keywords
+def spins(
+    crystal: Crystal,
+    size: tuple[int, int, int],
+    *,
+    spin: Any = None,
+    g: Any = None,
+    moments: Any = None,
+    periodic: Any = True,
+    units: str = "natural",
+) -> SpinModel:
+    """Return spins on the sites of a crystal, without energy; methods of the model add its terms.
+
+    Choose it for spins on a real structure, with exchange by bonds, anisotropies by sites, and units of the laboratory;
+    `spin_lattice` is for lattices by name and for graphs. The energy is, with each bond once,
+
+    ``H = sum(S_i . J_ij S_j + D_ij . (S_i x S_j)) + sum(S_i . A_i S_i - g_i mu_B B . S_i) + dipoles``,
+
+    so that J > 0 is antiferromagnetic and A < 0 along an easy axis. The states are directions of length 1, and S_i is S
+    times the direction: all lengths and moments are numbers of the model. The equations are those of angular momenta,
+    ``hbar S_i' = S_i x (-dH/dS_i)``.
+
+    Parameters
+    ----------
+    crystal : Crystal
+        From `co.spins.crystal`, magnetic sites only (``subcrystal`` keeps them).
+    size : tuple of int
+        Cells along the three lattice vectors.
+    spin : float, mapping or (sites of a cell,) array_like, optional
+        Length S of the spins: for all, label -> S, or one for each site of a cell. 1 by default.
+    g : float, mapping or array_like, optional
+        g-factor, not zero; 2 by default. See `SpinModel.field` for its sign.
+    moments : float, mapping or array_like, optional
+        Moments g S in units of mu_B, in place of `spin` or of `g`: with `spin` they give g, else S by |g|.
+    periodic : bool or tuple of bool
+        Whether the lattice is periodic along each lattice vector.
+    units : {"natural", "meV"}
+        "natural": hbar = mu_B = k_B = 1, dipoles of moments m at distance r of the order m^2/r^3. "meV": energies in
+        meV, fields in tesla, times in ps, temperatures in kelvin (also those of `thermal_states`, `HeatBath` and
+        `Gilbert`), lengths in angstroms.
+
+    Returns
+    -------
+    SpinModel
+        State: directions of the spins, S_i at ``x[3 i : 3 i + 3]``, cell by cell, with the last axis of `size` fastest,
+        and within a cell in the order of ``crystal.labels``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Sizes or lengths that are not positive; unknown labels or units; all of `spin`, `g` and `moments`.
+
+    References
+    ----------
+    S. Toth, B. Lake, J. Phys.: Condens. Matter 27, 166002 (2015), the form of the energy; CODATA 2022.
+
+    Examples
+    --------
+    An ion of spin 5/2 precesses in one tesla at 27.99 GHz, 0.1759 radians in a picosecond:
+
+    >>> import coadjoint as co
+    >>> cube = co.spins.crystal(lattice=(3, 3, 3, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+    >>> model = co.systems.spins(cube, (1, 1, 1), spin=5 / 2, units="meV").field((0, 0, 1.0))
+    >>> co.integrate(model, (1.0, 0.0, 0.0), (0, 1), 0.1).x[-1].round(4) + 0.0
+    array([ 0.9846, -0.175 ,  0.    ])
+    """
+    if not isinstance(crystal, Crystal):
+        raise TypeError(f"crystal is {short(crystal)}; give one of co.spins.crystal")
+    sizes = read_sizes(size, 3, "size")
+    total = len(crystal.labels) * math.prod(sizes)
+    if total > MAX_SITES:
+        raise ValueError(f"size is {short(sizes)}, which makes {short(total)} spins; at most {MAX_SITES} are possible")
+    flags = read_flags(periodic, 3)
+    choice = read_choice(units, "units", UNITS)
+    given = [name for name, value in (("spin", spin), ("g", g), ("moments", moments)) if value is not None]
+    if len(given) == 3:
+        raise ValueError("spin, g and moments are given, and moments are g times spin; give two of them")
+    of_g = _of_sites(2.0 if g is None else g, "g", crystal)
+    if np.any(of_g == 0.0):
+        raise ValueError("g has a zero; give numbers other than zero")
+    if moments is None:
+        lengths = _of_sites(1.0 if spin is None else spin, "spin", crystal)
+    else:
+        mu = _of_sites(moments, "moments", crystal)
+        lengths = np.abs(mu / of_g) if spin is None else _of_sites(spin, "spin", crystal)
+        of_g = np.copysign(of_g, mu * of_g) if spin is None else mu / np.where(lengths, lengths, 1.0)
+    what = "spin" if moments is None or spin is not None else "moments"
+    if not np.all(lengths >= 1.0 / MAX_COUPLING):
+        raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")
+    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g))  # type: ignore[arg-type]
+
+
+def _of_sites(values: Any, what: str, crystal: Crystal) -> Floats:
+    """Return numbers of the sites of a cell, given for all, by labels, or for each."""
+    if isinstance(values, Mapping):
+        labels = dict.fromkeys(crystal.labels)
+        for label in values:
+            read_choice(label, f"label of {what}", labels)
+        missing = [label for label in labels if label not in values]
+        if missing:
+            raise ValueError(f"{what} has no number for {short(missing)}; give one for each label")
+        values = [read_number(values[label], f"{what}[{short(label)}]") for label in crystal.labels]
+    found = read_finite(values, what)
+    if found.shape not in ((), (len(crystal.labels),)):
+        raise ValueError(
+            f"{what} has shape {found.shape}; give one number, label -> number, or ({len(crystal.labels)},) for the "
+            "sites of a cell"
+        )
+    _check_sizes(found, what)
+    return np.array(np.broadcast_to(found, len(crystal.labels)))
+
+
+def _check_sizes(values: Floats, what: str) -> None:
+    if not np.abs(values).max(initial=0.0) <= MAX_COUPLING:
+        raise ValueError(f"{what} has numbers beyond {MAX_COUPLING:g}; take larger units")
+
+
+def _merged(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, list[int]]:
+    """Return the bonds of a cell, each once, the distinct matrices, and which of them each bond has."""
+    total: dict[tuple[int, ...], Floats] = {}
+    owner: dict[tuple[int, ...], str] = {}
+    for coupling in declared.couplings:
+        for key, matrix in zip(map(tuple, coupling.bonds.tolist()), coupling.matrices, strict=True):
+            back = (key[1], key[0], *(-n for n in key[2:]))
+            if back in total:
+                total[back] = total[back] + matrix.T
+            else:
+                total[key] = total[key] + matrix if key in total else matrix
+            owner.setdefault(key, coupling.bond)
+    seen: dict[tuple[int, ...], tuple[int, ...]] = {}
+    for key in total:
+        for i, j, *n in (key, (key[1], key[0], *(-m for m in key[2:]))):
+            wrapped = [
+                m % size if flag else m for m, size, flag in zip(n, declared.size, declared.periodic, strict=True)
+            ]
+            place = (i, j, *wrapped)
+            other = (i, i, 0, 0, 0) if i == j and not any(wrapped) else seen.setdefault(place, (i, j, *n))
+            if other != (i, j, *n):
+                raise _cut_twice(declared, owner[key], (i, j, *n), other)
+    known: dict[bytes, int] = {}
+    kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
+    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
+    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
+
+
+def _cut_twice(declared: Declaration, name: str, bond: tuple[int, ...], other: tuple[int, ...]) -> ValueError:
+    """Return the error of two bonds that join the same sites of a periodic lattice."""
+    labels, (i, j, *n) = declared.crystal.labels, bond
+    alone = i == j and not any(other[2:])
+    far = [abs(m if alone else m - k) * (1 + alone) + 1 for m, k in zip(n, other[2:], strict=True)]
+    axis = int(np.argmax(far))
+    joined = "to itself" if alone else f"and {labels[j]} {j} twice"
+    return ValueError(
+        f"bond {name} joins {labels[i]} {i} {joined} in {_cells_text(declared.size)} cells, at the offsets {tuple(n)} "
+        f"and {tuple(other[2:])}; take at least {far[axis]} cells along {AXES[axis]}, or periodic=False there"
+    )
+
+
+def _parameters(
+    count: int, edges: Integers, blocks: Blocks, on_site: Blocks, field: Floats, mu: Any
+) -> dict[str, Any] | None:
+    """Return the parameters with which `spin_lattice` makes the system; None if they are too many."""
+    if 11 * len(edges) + 13 * count > MAX_STORED_VALUES:
+        return None
+    found: dict[str, Any] = {"lattice": as_tuples(edges), "shape": count, "periodic": False, "exchange": -1.0}
+    found["tensor"] = as_tuples(blocks.distinct[blocks.number]) if len(edges) else (1.0, 1.0, 1.0)
+    found["dm"] = (0.0, 0.0, 0.0)
+    found["field"] = as_tuples(field)
+    found["on_site"] = as_tuples(-on_site.distinct[on_site.number]) if np.any(on_site.distinct) else (0.0, 0.0, 0.0)
+    if np.ndim(mu) or mu != 1.0:
+        found["moments"] = as_tuples(np.asarray(mu))
+    return found
+
+
+def _scaled(field: Callable[..., Any], moments: Floats, count: int) -> Callable[..., Any]:
+    """Return the function of the time that is moments times the field of a function."""
+    if len(moments) == 1 and np.ndim(field(0.0)) == 1:
+        moment = float(moments[0])
+
+        def uniform(t: Any) -> Any:
+            B = field(t)
+            return moment * B[0], moment * B[1], moment * B[2]
+
+        return uniform
+    each = np.broadcast_to(moments, count).copy()
+
+    def of_each(t: Any) -> Any:
+        return each.reshape(-1, 1) * np.asarray(field(t))
+
+    return of_each
+
+
+def _in_energies(force: Any, boltzmann: float) -> Any:
+    """Return a force with energies in place of temperatures, marked so that it is not done twice."""
+    if boltzmann == 1.0 or not hasattr(force, "temperature") or getattr(force, "_in_energies", False):
+        return force
+    converted = replace(force, temperature=as_tuples(boltzmann * np.asarray(force.temperature)))
+    set_fields(converted, _in_energies=True)
+    return converted
+
+
+def _described(J: Floats) -> str:
+    """Return an exchange matrix as text, with the order that its isotropic part prefers."""
+    value = float(J if J.ndim == 0 else J.trace() / 3.0)
+    sense = "antiferromagnetic" if value > 0.0 else "ferromagnetic" if value < 0.0 else "anisotropic"
+    return f"J = {J.tolist()} ({sense})"
+
+
+def _cells_text(size: tuple[int, ...]) -> str:
+    return " x ".join(map(str, size))
