@@ -22,7 +22,7 @@ from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.lattices import crystals
-from coadjoint.systems.lattices.spin_model import SpinModel
+from coadjoint.systems.lattices.spin_model import ExchangeTable, SpinModel
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
@@ -60,6 +60,7 @@ MEMBERS_OF = (
     ("A bond of a crystal", crystals.Bond, "exchange"),
     ("A field of vectors in a file", ovf.OvfField, "spins"),
     ("A site of a crystal", crystals.Site, "single_ion"),
+    ("A table of exchange", ExchangeTable, ""),
     (
         "A spin model on a crystal",
         SpinModel,

@@ -68,6 +68,8 @@ SAMPLES = pathlib.Path(FOLDER.name, "samples.csv")
 ROD = co.checkcases.get("rod", samples=5)
 ROD.write(SAMPLES)
 
+BONDS = pathlib.Path(FOLDER.name, "bonds.csv")
+BONDS.write_text("i,j,n1,n2,n3,J\n0,0,1,0,0,1\n")
 CUBE = co.spins.crystal(lattice=(1.0, 1.0, 1.0, 90.0, 90.0, 90.0), sites={"Fe": (0.0, 0.0, 0.0)})
 DIMERS = co.spins.crystal(lattice=(3.0, 3.0, 3.0, 90.0, 90.0, 90.0), sites={"Fe": (0.1, 0.2, 0.0)}, space_group="P 1")
 MODEL = co.systems.spins(DIMERS, (3, 3, 3))
@@ -172,6 +174,7 @@ OWN = {
     "SpinModel.field": {"B": X},
     "SpinModel.single_ion": {"site": "Fe"},
     "SpinModel.vacancies": {"fraction": 0.4},
+    "co.spins.read_exchange": {"path": BONDS, "crystal": CUBE},
     "co.systems.spins": {"crystal": CUBE, "size": (1, 1, 1)},
     "MassProperties.about": {"point": X},
     "co.certify": {"steps": 4},

@@ -153,6 +153,13 @@ def _rows(sites: int, edges: Integers, coupling: Blocks, on_site: Blocks) -> Row
 def driving_field(force: Callable[..., Any], sites: int) -> tuple[SplitHamiltonian, bool]:
     """Return ``-sum over sites s of f_s(t) . S_s``, f a function of the time, and whether f is equal at all sites."""
     # Numba compiles `force`, which returns (3,), or (sites, 3). Components along one axis commute.
+    uniform = is_uniform(force, sites)
+    pieces = [(range(axis, 3 * sites, 3), _drive(force, axis, sites, uniform)) for axis in range(3)]
+    return SplitHamiltonian(pieces), uniform
+
+
+def is_uniform(force: Callable[..., Any], sites: int) -> bool:
+    """Return whether a field, a function of the time, is equal at all sites; raise an error if it is no field."""
     check_arguments(force, "field", "t")
     try:
         values = np.asarray(force(0.0), dtype=np.float64)
@@ -162,9 +169,7 @@ def driving_field(force: Callable[..., Any], sites: int) -> tuple[SplitHamiltoni
         raise ValueError(f"field(t) has shape {values.shape}; it must return (3,) or ({sites}, 3)")
     if not np.isfinite(values).all():
         raise ValueError("field(0.0) is not finite; give a function with finite values")
-    uniform = values.ndim == 1
-    pieces = [(range(axis, 3 * sites, 3), _drive(force, axis, sites, uniform)) for axis in range(3)]
-    return SplitHamiltonian(pieces), uniform
+    return values.ndim == 1
 
 
 def _drive(force: Callable[..., Any], axis: int, sites: int, uniform: bool) -> Hamiltonian:

@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
-from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field
+from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
 from coadjoint.systems.lattices.crystals import AXIAL, Bond, Crystal
 from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
 from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, MAX_SITES, edges_of_bonds, read_flags, read_sizes
@@ -65,6 +65,38 @@ class Coupling(NamedTuple):
     bonds: Integers
     matrices: Floats
     text: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExchangeTable:
+    """Exchange matrices of bonds of a cell, each bond once; `co.spins.read_exchange` makes them.
+
+    Attributes
+    ----------
+    sites : (bonds, 2) array of int
+        First and second site of each bond.
+    offsets : (bonds, 3) array of int
+        Cell of the second site.
+    matrices : (bonds, 3, 3) array
+        J of the energy ``S_i . J S_j``: positive ones are antiferromagnetic.
+    units : str
+        ``"meV"``, or ``"natural"``.
+    of_directions : bool
+        Whether the matrices belong to directions of length 1, as of TB2J and VAMPIRE, else to spins of lengths S.
+    source : str
+        The file.
+    """
+
+    sites: Integers
+    offsets: Integers
+    matrices: Floats
+    units: str
+    of_directions: bool
+    source: str
+
+    def __repr__(self) -> str:
+        of = "directions" if self.of_directions else "spins of lengths S"
+        return f"<exchange of {len(self.sites)} bonds of a cell, {self.units}, for {of}, from {short(self.source)}>"
 
 
 class Anisotropy(NamedTuple):
@@ -243,15 +275,16 @@ class SpinModel(LiePoissonSystem):
         """Cartesian position of each spin, (sites, 3)."""
         return (self.cells + self.crystal.positions[self.sites]) @ self.crystal.lattice
 
-    def exchange(self, bond: Bond, J: Any) -> Self:
+    def exchange(self, bond: Bond | ExchangeTable, J: Any = None) -> Self:
         """Return the model with the energy ``S_i . J S_j`` of a bond and all equivalent ones; each bond counts once.
 
         J > 0 is antiferromagnetic, as for SpinW and Sunny, and opposite to ``exchange=`` of `spin_lattice`.
 
         Parameters
         ----------
-        bond : Bond
-            One of ``crystal.bonds(max_distance)``.
+        bond : Bond or ExchangeTable
+            One of ``crystal.bonds(max_distance)``; or the bonds of a file, with their matrices, from
+            `co.spins.read_exchange`.
         J : float or (3, 3) array_like
             Exchange of the representative in the Cartesian frame of the lattice, an energy for spins of the lengths S:
             the energy of parallel unit vectors is ``J S_i S_j``. Its antisymmetric part is a Dzyaloshinskii-Moriya
@@ -275,6 +308,8 @@ class SpinModel(LiePoissonSystem):
         >>> model.energy([0, 0, 1, 0, 0, -1] * 2)                       # antiparallel neighbours
         -2.0
         """
+        if isinstance(bond, ExchangeTable):
+            return self._with_table(bond, J)
         self._check_bond(bond, "exchange")
         return self._coupled("exchange", bond, bond.exchange(J), _described(np.asarray(J, dtype=np.float64)))
 
@@ -519,9 +554,31 @@ class SpinModel(LiePoissonSystem):
             raise ValueError(f"bond {bond.name} has {what} in this model; give the sum of both once")
 
     def _coupled(self, what: str, bond: Bond, matrices: Floats, text: str) -> Self:
+        listed = next((one.bonds for one in self._declared.couplings if one.bond == "file"), np.zeros((0, 5)))
+        key = (bond.first, bond.second, *bond.offset)
+        if what == "exchange" and {key, (key[1], key[0], *(-n for n in key[2:]))} & set(map(tuple, listed.tolist())):
+            raise ValueError(f"bond {bond.name} is in the file of this model; give it once")
         lengths = self._declared.spin[bond.sites]
         matrices = matrices * (lengths[:, 0] * lengths[:, 1])[:, None, None]
         return self._with_coupling(what, bond.name, np.column_stack([bond.sites, bond.offsets]), matrices, text)
+
+    def _with_table(self, table: ExchangeTable, J: Any) -> Self:
+        if J is not None:
+            raise ValueError(f"J is {short(J)}, and {table!r} has its own matrices; give exchange(table)")
+        if table.units != self.units:
+            raise ValueError(f"{table!r} has the units {table.units}, and the model {self.units}; give equal ones")
+        if table.sites.max(initial=0) >= len(self.crystal.labels):
+            raise ValueError(
+                f"{table!r} has site {table.sites.max()}, and {self.crystal!r} fewer; read it for this crystal"
+            )
+        if any(one.what == "exchange" for one in self._declared.couplings):
+            raise ValueError("the model has exchange; add a table first, and bonds that it does not have afterwards")
+        lengths = np.ones(2) if table.of_directions else self._declared.spin[table.sites]
+        matrices = table.matrices * (lengths[..., 0] * lengths[..., 1])[..., None, None]
+        bonds = np.column_stack([table.sites, table.offsets])
+        return self._with_coupling(
+            "exchange", "file", bonds, matrices, f"{len(bonds)} matrices of {short(table.source)}"
+        )
 
     def _with_coupling(self, what: str, bond: str, bonds: Integers, matrices: Floats, text: str) -> Self:
         _check_sizes(matrices, "the coupling")
@@ -736,7 +793,7 @@ def _parameters(
 
 def _scaled(field: Callable[..., Any], moments: Floats, count: int) -> Callable[..., Any]:
     """Return the function of the time that is moments times the field of a function."""
-    if len(moments) == 1 and np.ndim(field(0.0)) == 1:
+    if is_uniform(field, count) and len(moments) == 1:
         moment = float(moments[0])
 
         def uniform(t: Any) -> Any:
