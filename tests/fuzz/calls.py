@@ -175,6 +175,7 @@ OWN = {
     "SpinModel.single_ion": {"site": "Fe"},
     "SpinModel.vacancies": {"fraction": 0.4},
     "co.spins.read_exchange": {"path": BONDS, "crystal": CUBE},
+    "co.spins.structure": {"name": "MnF2"},
     "co.systems.spins": {"crystal": CUBE, "size": (1, 1, 1)},
     "MassProperties.about": {"point": X},
     "co.certify": {"steps": 4},

@@ -51,7 +51,7 @@ class ListedExchange(NamedTuple):
 def read_exchange(
     path: str | Path, crystal: Crystal, *, format: str | None = None, max_distance: float | None = None
 ) -> ExchangeTable:
-    """Read exchange constants of a crystal from a file of a first-principles code, VAMPIRE, or a table.
+    r"""Read exchange constants of a crystal from a file of a first-principles code, VAMPIRE, or a table.
 
     Choose it for many bonds, or matrices that someone has computed; ``model.exchange(table)`` adds them. All matrices
     are converted to those of ``S_i . J S_j`` with each bond once, in which J > 0 is antiferromagnetic.
@@ -100,7 +100,7 @@ def read_exchange(
     >>> import pathlib, tempfile
     >>> import coadjoint as co
     >>> file = pathlib.Path(tempfile.mkdtemp(), "bonds.csv")
-    >>> _ = file.write_text("i,j,n1,n2,n3,J [meV]\\n0,0,1,0,0,-1.5\\n0,0,0,1,0,0.5\\n")
+    >>> _ = file.write_text("i,j,n1,n2,n3,J [meV]\n0,0,1,0,0,-1.5\n0,0,0,1,0,0.5\n")
     >>> square = co.spins.crystal(lattice=(3, 3, 9, 90, 90, 90), sites={"Fe": (0, 0, 0)}, space_group="P 1")
     >>> table = co.spins.read_exchange(file, square)
     >>> co.systems.spins(square, (4, 4, 1), units="meV").exchange(table).energy([0, 0, 1] * 16)
