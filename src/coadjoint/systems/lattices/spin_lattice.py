@@ -117,7 +117,8 @@ def spin_lattice(
 
     The Landau-Lifshitz equations without damping: copies of so(3), sign +1, and, summed over edges (i, j) and sites i,
     ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. J > 0 is ferromagnetic. One
-    spin in a field B precesses about it by the angle ``-|B| t``.
+    spin in a field B precesses about it by the angle ``-|B| t``. On structure files, with units, and with the sign of
+    SpinW, choose `co.systems.spins`.
 
     Spins are angular momenta. For magnetic moments, ``m' = -gamma m cross B`` as in VAMPIRE, mumax3 and Spirit, with
     the mirrored precession, take S = -m: the states and `field` with the other sign, all else as it is.
