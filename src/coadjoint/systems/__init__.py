@@ -9,7 +9,7 @@ from coadjoint.errors import unknown_attribute
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
-from coadjoint.systems.lattices.spin_model import spins
+from coadjoint.systems.lattices.spins_on_crystals import spins
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.planet import RotatingPlanet
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, FunctionStream, Weights

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +15,9 @@ from coadjoint.files.columns import split_unit, text_table
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.crystals import AXIAL, MAX_BONDS, MAX_SITES, Crystal
-from coadjoint.systems.lattices.spin_model import ExchangeTable
+from coadjoint.systems.lattices.bonds import antisymmetric
+from coadjoint.systems.lattices.crystals import MAX_BONDS, MAX_SITES, Crystal
+from coadjoint.systems.lattices.declared_spins import ExchangeTable
 from coadjoint.validation import read_choice, read_path, read_positive
 
 Floats = npt.NDArray[np.float64]
@@ -254,7 +255,7 @@ def _tb2j(file: Path) -> ListedExchange:
         elif line.startswith("J_iso:") and matrices:
             matrices[-1] = _numbers(line[6:], 1, where)[0] * np.eye(3)
         elif "DMI:" in line and line.startswith(("[Testing!] DMI:", "DMI:")) and matrices:
-            matrices[-1] = matrices[-1] + _antisymmetric(_numbers(line.partition(":")[2], 3, where))
+            matrices[-1] = matrices[-1] + antisymmetric(_numbers(line.partition(":")[2], 3, where))
         elif line.replace(" ", "").startswith(("[Testing!]J_ani:", "J_ani:")) and matrices:
             matrices[-1] = matrices[-1] + np.reshape(
                 _numbers(" ".join(lines[number + 1 : number + 4]), 9, where), (3, 3)
@@ -262,13 +263,6 @@ def _tb2j(file: Path) -> ListedExchange:
     if not ends:
         raise ValueError(f"{file} has no bonds in its section Exchange")
     return ListedExchange(lattice, atoms, ends, np.array(offsets), np.array(matrices), -1.0, "meV")
-
-
-def _antisymmetric(D: Sequence[float]) -> Floats:
-    matrix = np.zeros((3, 3))
-    for (a, b), value in zip(AXIAL, D, strict=True):
-        matrix[a, b], matrix[b, a] = value, -value
-    return matrix
 
 
 def _ucf(file: Path) -> ListedExchange:
@@ -367,7 +361,7 @@ def _csv(file: Path) -> ListedExchange:
     elif "Jxx" in columns:
         matrices += values[:, [columns[name] for name in full]].reshape(-1, 3, 3)
     if "Dx" in columns:
-        matrices += np.array([_antisymmetric(D) for D in values[:, [columns[name] for name in vector]].tolist()])
+        matrices += antisymmetric(values[:, [columns[name] for name in vector]])
     integers = whole.astype(np.int64)
     ends = [(str(i), str(j)) for i, j in integers[:, :2].tolist()]
     return ListedExchange(None, {}, ends, integers[:, 2:], matrices, 1.0, "meV" if units == {"meV"} else "natural")

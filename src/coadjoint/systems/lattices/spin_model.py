@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
+from coadjoint.systems.lattices.bonds import Bond, antisymmetric
 from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
-from coadjoint.systems.lattices.crystals import AXIAL, Bond, Crystal
+from coadjoint.systems.lattices.crystals import Crystal
+from coadjoint.systems.lattices.declared_spins import (
+    UNITS,
+    Anisotropy,
+    Coupling,
+    Declaration,
+    ExchangeTable,
+    cells_text,
+    check_sizes,
+    merged_bonds,
+)
 from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
-from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, MAX_SITES, edges_of_bonds, read_flags, read_sizes
+from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, edges_of_bonds
 from coadjoint.systems.lattices.spin_lattice import (
-    MAX_COUPLING,
     MAX_STORED_VALUES,
     known_integrals,
     on_spins,
@@ -30,98 +39,6 @@ from coadjoint.validation import as_tuples, read_choice, read_finite, read_numbe
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-
-AXES = "abc"
-
-
-class Units(NamedTuple):
-    """Constants of nature in the units of a model, and its units of energy, field, time, temperature and length."""
-
-    hbar: float
-    mu_B: float
-    k_B: float
-    dipole: float  # mu0 mu_B^2 / (4 pi)
-    names: tuple[str, str, str, str, str]
-
-
-# CODATA 2022; hbar and k_B are exact.
-UNITS = {
-    "natural": Units(1.0, 1.0, 1.0, 1.0, ("", "", "", "", "")),
-    "meV": Units(
-        0.6582119569509067,
-        0.057883817982,
-        0.08617333262145179,
-        0.053681511053262,
-        (" meV", " T", " ps", " K", " angstrom"),
-    ),
-}
-
-
-class Coupling(NamedTuple):
-    """Matrices of bonds of a cell, that act on unit vectors; `bonds` (k, 5) are sites and offsets."""
-
-    what: str
-    bond: str
-    bonds: Integers
-    matrices: Floats
-    text: str
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ExchangeTable:
-    """Exchange matrices of bonds of a cell, each bond once; `co.spins.read_exchange` makes them.
-
-    Attributes
-    ----------
-    sites : (bonds, 2) array of int
-        First and second site of each bond.
-    offsets : (bonds, 3) array of int
-        Cell of the second site.
-    matrices : (bonds, 3, 3) array
-        J of the energy ``S_i . J S_j``: positive ones are antiferromagnetic.
-    units : str
-        ``"meV"``, or ``"natural"``.
-    of_directions : bool
-        Whether the matrices belong to directions of length 1, as of TB2J and VAMPIRE, else to spins of lengths S.
-    source : str
-        The file.
-    """
-
-    sites: Integers
-    offsets: Integers
-    matrices: Floats
-    units: str
-    of_directions: bool
-    source: str
-
-    def __repr__(self) -> str:
-        of = "directions" if self.of_directions else "spins of lengths S"
-        return f"<exchange of {len(self.sites)} bonds of a cell, {self.units}, for {of}, from {short(self.source)}>"
-
-
-class Anisotropy(NamedTuple):
-    """Single-ion matrices of sites of a cell, that act on unit vectors."""
-
-    sites: Integers
-    matrices: Floats
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class Declaration:
-    """What a user has declared of a spin model."""
-
-    crystal: Crystal
-    size: tuple[int, int, int]
-    periodic: tuple[bool, bool, bool]
-    units: str
-    spin: Floats  # of the sites of a cell
-    g: Floats
-    occupied: Integers | None = None
-    couplings: tuple[Coupling, ...] = ()
-    anisotropies: tuple[Anisotropy, ...] = ()
-    field: Any = None
-    dipolar: bool = False
 
 
 class SpinModel(LiePoissonSystem):
@@ -199,7 +116,7 @@ class SpinModel(LiePoissonSystem):
     def _edges(self, sites: int) -> tuple[Integers, Blocks, Floats, Callable[..., Any] | None]:
         """Return edges, their matrices, the energies of spins in a constant field, and a function for another."""
         declared = self._declared
-        bonds, distinct, kinds = _merged(declared)
+        bonds, distinct, kinds = merged_bonds(declared)
         check_available_memory(BYTES_PER_EDGE * len(bonds) * math.prod(declared.size), f"bonds of {short(sites)} spins")
         cell = len(declared.crystal.labels)
         by_bond = edges_of_bonds(cell, [(i, j, tuple(n)) for i, j, *n in bonds], declared.size, declared.periodic)
@@ -344,10 +261,9 @@ class SpinModel(LiePoissonSystem):
         vector = read_finite(D, "D")
         if vector.shape != (3,):
             raise ValueError(f"D has shape {vector.shape}; give a vector (3,)")
-        matrix = np.zeros((3, 3))
-        for (a, b), value in zip(AXIAL, vector.tolist(), strict=True):
-            matrix[a, b], matrix[b, a] = value, -value
-        return self._coupled("dzyaloshinskii_moriya", bond, bond.exchange(matrix), f"D = {vector.tolist()}")
+        return self._coupled(
+            "dzyaloshinskii_moriya", bond, bond.exchange(antisymmetric(vector)), f"D = {vector.tolist()}"
+        )
 
     def single_ion(self, site: str | int, matrix: Any) -> Self:
         """Return the model with the energy ``S_i . A S_i`` of a site and all equivalent ones.
@@ -386,7 +302,7 @@ class SpinModel(LiePoissonSystem):
                     f"site {chosen.label} {chosen.number} has a single-ion matrix; give the sum of both once"
                 )
         matrices = 0.5 * (matrices + matrices.swapaxes(1, 2))  # of which the two triangles differ by rounding
-        _check_sizes(matrices, "the single-ion matrix")
+        check_sizes(matrices, "the single-ion matrix")
         text = f"site {chosen.label} {chosen.number}: A = {np.asarray(matrix).tolist()}"
         return self._with(anisotropies=(*self._declared.anisotropies, Anisotropy(chosen.sites, matrices, text)))
 
@@ -424,7 +340,7 @@ class SpinModel(LiePoissonSystem):
                 raise ValueError(
                     f"B has shape {B.shape}; give (3,), or ({len(self.sites)}, 3) with one row for each spin"
                 )
-            _check_sizes(B, "B")
+            check_sizes(B, "B")
         return self._with(field=B)
 
     def dipolar(self) -> Self:
@@ -581,7 +497,7 @@ class SpinModel(LiePoissonSystem):
         )
 
     def _with_coupling(self, what: str, bond: str, bonds: Integers, matrices: Floats, text: str) -> Self:
-        _check_sizes(matrices, "the coupling")
+        check_sizes(matrices, "the coupling")
         return self._with(couplings=(*self._declared.couplings, Coupling(what, bond, bonds, matrices, text)))
 
     def _text(self) -> str:
@@ -590,7 +506,7 @@ class SpinModel(LiePoissonSystem):
         names += ["field"] * (self._declared.field is not None) + ["dipolar"] * self._declared.dipolar
         terms = ", ".join(names) if names else "no energy"
         return (
-            f"<{len(self.sites)} spins on {self.crystal!r}, {_cells_text(self.size)} cells: {short(terms, 120)[1:-1]}>"
+            f"<{len(self.sites)} spins on {self.crystal!r}, {cells_text(self.size)} cells: {short(terms, 120)[1:-1]}>"
         )
 
     def __str__(self) -> str:
@@ -601,7 +517,7 @@ class SpinModel(LiePoissonSystem):
             for label, S, g in zip(self.crystal.labels, declared.spin.tolist(), declared.g.tolist(), strict=True)
         )
         lines = [
-            f"{len(self.sites)} spins, {_cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
+            f"{len(self.sites)} spins, {cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
             "H = sum of S_i . J S_j + D . (S_i x S_j) over bonds + S_i . A S_i - g mu_B B . S_i over sites",
             *kinds,
         ]
@@ -615,164 +531,6 @@ class SpinModel(LiePoissonSystem):
         return "\n".join(lines)
 
     _declared: Declaration
-
-
-@suggest_keywords
-def spins(
-    crystal: Crystal,
-    size: tuple[int, int, int],
-    *,
-    spin: Any = None,
-    g: Any = None,
-    moments: Any = None,
-    periodic: Any = True,
-    units: str = "natural",
-) -> SpinModel:
-    """Return spins on the sites of a crystal, without energy; methods of the model add its terms.
-
-    Choose it for spins on a real structure, with exchange by bonds, anisotropies by sites, and units of the laboratory;
-    `spin_lattice` is for lattices by name and for graphs. The energy is, with each bond once,
-
-    ``H = sum(S_i . J_ij S_j + D_ij . (S_i x S_j)) + sum(S_i . A_i S_i - g_i mu_B B . S_i) + dipoles``,
-
-    so that J > 0 is antiferromagnetic and A < 0 along an easy axis. The states are directions of length 1, and S_i is S
-    times the direction: all lengths and moments are numbers of the model. The equations are those of angular momenta,
-    ``hbar S_i' = S_i x (-dH/dS_i)``.
-
-    Parameters
-    ----------
-    crystal : Crystal
-        From `co.spins.crystal`, magnetic sites only (``subcrystal`` keeps them).
-    size : tuple of int
-        Cells along the three lattice vectors.
-    spin : float, mapping or (sites of a cell,) array_like, optional
-        Length S of the spins: for all, label -> S, or one for each site of a cell. 1 by default.
-    g : float, mapping or array_like, optional
-        g-factor, not zero; 2 by default. See `SpinModel.field` for its sign.
-    moments : float, mapping or array_like, optional
-        Moments g S in units of mu_B, in place of `spin` or of `g`: with `spin` they give g, else S by |g|.
-    periodic : bool or tuple of bool
-        Whether the lattice is periodic along each lattice vector.
-    units : {"natural", "meV"}
-        "natural": hbar = mu_B = k_B = 1, dipoles of moments m at distance r of the order m^2/r^3. "meV": energies in
-        meV, fields in tesla, times in ps, temperatures in kelvin (also those of `thermal_states`, `HeatBath` and
-        `Gilbert`), lengths in angstroms.
-
-    Returns
-    -------
-    SpinModel
-        State: directions of the spins, S_i at ``x[3 i : 3 i + 3]``, cell by cell, with the last axis of `size` fastest,
-        and within a cell in the order of ``crystal.labels``.
-
-    Raises
-    ------
-    ValueError, TypeError
-        Sizes or lengths that are not positive; unknown labels or units; all of `spin`, `g` and `moments`.
-
-    References
-    ----------
-    S. Toth, B. Lake, J. Phys.: Condens. Matter 27, 166002 (2015), the form of the energy; CODATA 2022.
-
-    Examples
-    --------
-    An ion of spin 5/2 precesses in one tesla at 27.99 GHz, 0.1759 radians in a picosecond:
-
-    >>> import coadjoint as co
-    >>> cube = co.spins.crystal(lattice=(3, 3, 3, 90, 90, 90), sites={"Mn": (0, 0, 0)})
-    >>> model = co.systems.spins(cube, (1, 1, 1), spin=5 / 2, units="meV").field((0, 0, 1.0))
-    >>> co.integrate(model, (1.0, 0.0, 0.0), (0, 1), 0.1).x[-1].round(4) + 0.0
-    array([ 0.9846, -0.175 ,  0.    ])
-    """
-    if not isinstance(crystal, Crystal):
-        raise TypeError(f"crystal is {short(crystal)}; give one of co.spins.crystal")
-    sizes = read_sizes(size, 3, "size")
-    total = len(crystal.labels) * math.prod(sizes)
-    if total > MAX_SITES:
-        raise ValueError(f"size is {short(sizes)}, which makes {short(total)} spins; at most {MAX_SITES} are possible")
-    flags = read_flags(periodic, 3)
-    choice = read_choice(units, "units", UNITS)
-    given = [name for name, value in (("spin", spin), ("g", g), ("moments", moments)) if value is not None]
-    if len(given) == 3:
-        raise ValueError("spin, g and moments are given, and moments are g times spin; give two of them")
-    of_g = _of_sites(2.0 if g is None else g, "g", crystal)
-    if np.any(of_g == 0.0):
-        raise ValueError("g has a zero; give numbers other than zero")
-    if moments is None:
-        lengths = _of_sites(1.0 if spin is None else spin, "spin", crystal)
-    else:
-        mu = _of_sites(moments, "moments", crystal)
-        lengths = np.abs(mu / of_g) if spin is None else _of_sites(spin, "spin", crystal)
-        of_g = np.copysign(of_g, mu * of_g) if spin is None else mu / np.where(lengths, lengths, 1.0)
-    what = "spin" if moments is None or spin is not None else "moments"
-    if not np.all(lengths >= 1.0 / MAX_COUPLING):
-        raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")
-    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g))  # type: ignore[arg-type]
-
-
-def _of_sites(values: Any, what: str, crystal: Crystal) -> Floats:
-    """Return numbers of the sites of a cell, given for all, by labels, or for each."""
-    if isinstance(values, Mapping):
-        labels = dict.fromkeys(crystal.labels)
-        for label in values:
-            read_choice(label, f"label of {what}", labels)
-        missing = [label for label in labels if label not in values]
-        if missing:
-            raise ValueError(f"{what} has no number for {short(missing)}; give one for each label")
-        values = [read_number(values[label], f"{what}[{short(label)}]") for label in crystal.labels]
-    found = read_finite(values, what)
-    if found.shape not in ((), (len(crystal.labels),)):
-        raise ValueError(
-            f"{what} has shape {found.shape}; give one number, label -> number, or ({len(crystal.labels)},) for the "
-            "sites of a cell"
-        )
-    _check_sizes(found, what)
-    return np.array(np.broadcast_to(found, len(crystal.labels)))
-
-
-def _check_sizes(values: Floats, what: str) -> None:
-    if not np.abs(values).max(initial=0.0) <= MAX_COUPLING:
-        raise ValueError(f"{what} has numbers beyond {MAX_COUPLING:g}; take larger units")
-
-
-def _merged(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, list[int]]:
-    """Return the bonds of a cell, each once, the distinct matrices, and which of them each bond has."""
-    total: dict[tuple[int, ...], Floats] = {}
-    owner: dict[tuple[int, ...], str] = {}
-    for coupling in declared.couplings:
-        for key, matrix in zip(map(tuple, coupling.bonds.tolist()), coupling.matrices, strict=True):
-            back = (key[1], key[0], *(-n for n in key[2:]))
-            if back in total:
-                total[back] = total[back] + matrix.T
-            else:
-                total[key] = total[key] + matrix if key in total else matrix
-            owner.setdefault(key, coupling.bond)
-    seen: dict[tuple[int, ...], tuple[int, ...]] = {}
-    for key in total:
-        for i, j, *n in (key, (key[1], key[0], *(-m for m in key[2:]))):
-            wrapped = [
-                m % size if flag else m for m, size, flag in zip(n, declared.size, declared.periodic, strict=True)
-            ]
-            place = (i, j, *wrapped)
-            other = (i, i, 0, 0, 0) if i == j and not any(wrapped) else seen.setdefault(place, (i, j, *n))
-            if other != (i, j, *n):
-                raise _cut_twice(declared, owner[key], (i, j, *n), other)
-    known: dict[bytes, int] = {}
-    kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
-    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
-    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
-
-
-def _cut_twice(declared: Declaration, name: str, bond: tuple[int, ...], other: tuple[int, ...]) -> ValueError:
-    """Return the error of two bonds that join the same sites of a periodic lattice."""
-    labels, (i, j, *n) = declared.crystal.labels, bond
-    alone = i == j and not any(other[2:])
-    far = [abs(m if alone else m - k) * (1 + alone) + 1 for m, k in zip(n, other[2:], strict=True)]
-    axis = int(np.argmax(far))
-    joined = "to itself" if alone else f"and {labels[j]} {j} twice"
-    return ValueError(
-        f"bond {name} joins {labels[i]} {i} {joined} in {_cells_text(declared.size)} cells, at the offsets {tuple(n)} "
-        f"and {tuple(other[2:])}; take at least {far[axis]} cells along {AXES[axis]}, or periodic=False there"
-    )
 
 
 def _parameters(
@@ -823,7 +581,3 @@ def _described(J: Floats) -> str:
     value = float(J if J.ndim == 0 else J.trace() / 3.0)
     sense = "antiferromagnetic" if value > 0.0 else "ferromagnetic" if value < 0.0 else "anisotropic"
     return f"J = {J.tolist()} ({sense})"
-
-
-def _cells_text(size: tuple[int, ...]) -> str:
-    return " x ".join(map(str, size))
