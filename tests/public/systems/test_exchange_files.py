@@ -220,6 +220,14 @@ def test_tables_and_models_that_do_not_fit(tmp_path):
         model.exchange(table).exchange(bond, 1.0)
     added = model.exchange(table).dzyaloshinskii_moriya(bond, (0, 0, 1.0))
     assert added.energy(np.tile([0.0, 0, 1], 54)) == model.exchange(table).energy(np.tile([0.0, 0, 1], 54))
+    bond = next(b for b in CRYSTAL.bonds(6) if b.first != b.second)
+    J, back = np.arange(9.0).reshape(3, 3), [bond.second, bond.first, *(-n for n in bond.offset)]
+    names = "i,j,n1,n2,n3," + ",".join(f"J{a}{b}" for a in "xyz" for b in "xyz")
+    (tmp_path / "b.csv").write_text(f"{names}\n{','.join(map(repr, [*map(int, back), *J.T.ravel().tolist()]))}\n")
+    reverse = model.exchange(co.spins.read_exchange(tmp_path / "b.csv", CRYSTAL))
+    x = np.random.default_rng(2).normal(size=model.dim)
+    both = [one.dzyaloshinskii_moriya(bond, (0.3, 1, -2)).energy(x) for one in (reverse, model.exchange(bond, J))]
+    np.testing.assert_allclose(*both, rtol=1e-13)  # a bond that the file lists from its second site
     for size in itertools.product((1, 2), repeat=2):
         with refused(ValueError, "file", "periodic=False"):
             co.systems.spins(CRYSTAL, (size[0], *size)).exchange(table)
