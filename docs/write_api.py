@@ -67,7 +67,7 @@ MEMBERS_OF = (
         "A spin model on a crystal",
         SpinModel,
         "cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites size "
-        "spin units vacancies",
+        "spin substitute units vacancies",
     ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (

@@ -174,6 +174,7 @@ OWN = {
     "SpinModel.field": {"B": X},
     "SpinModel.single_ion": {"site": "Fe"},
     "SpinModel.vacancies": {"fraction": 0.4},
+    "SpinModel.substitute": {"label": "Fe", "fraction": 0.4, "spin": 2.0},
     "co.spins.read_exchange": {"path": BONDS, "crystal": CUBE},
     "co.spins.structure": {"name": "MnF2"},
     "co.systems.spins": {"crystal": CUBE, "size": (1, 1, 1)},

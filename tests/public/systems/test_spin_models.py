@@ -273,6 +273,44 @@ def test_vacancies_are_spins_of_no_length(dipolar):
     assert not np.array_equal(part.cells, full.vacancies({"Ni": 0.25, "Fe": 0.5}, seed=3).cells)
 
 
+@pytest.mark.parametrize("dipolar", [False, True])
+def test_substituted_ions_are_spins_of_other_lengths(dipolar):
+    """Energies are those of the model of equal ions, whose vectors have the ratios of the lengths and moments."""
+    native = co.systems.spins(POLAR, (2, 2, 3), spin={"Fe": 2, "Ni": 1}, periodic=False)
+    native = native.exchange(POLAR.bonds(4)[0], 0.4).exchange(POLAR.bonds(4)[1], -0.7)
+    native = native.single_ion("Ni", np.diag([0, -0.3, 0.1])).field((0.2, 0, 1.0))
+    native = native.dipolar() if dipolar else native
+    alloy = native.substitute("Ni", 0.5, seed=2, spin=1.5).substitute("Fe", 0.25, seed=3, spin=0.5)
+    ratio = alloy.spin / native.spin
+    assert sorted(set(ratio.tolist())) == [0.25, 1.0, 1.5] and np.sum(ratio == 1.5) == 12 and np.sum(ratio == 0.25) == 6
+    x = start(native)
+    scaled = (x.reshape(-1, 3) * ratio[:, None]).ravel()
+    np.testing.assert_allclose(alloy.energy(x), native.energy(scaled), rtol=1e-12)
+    gradient = native.hamiltonian.gradient(scaled).reshape(-1, 3) * ratio[:, None]
+    np.testing.assert_allclose(alloy.hamiltonian.gradient(x).reshape(-1, 3), gradient, atol=1e-13)
+    np.testing.assert_allclose(
+        alloy.hamiltonian.hessian(x) @ x, gradient.ravel() - alloy.hamiltonian.gradient(0 * x), atol=1e-12
+    )
+    part = alloy.vacancies(0.3, seed=5)  # in both orders
+    again = native.vacancies(0.3, seed=5).substitute("Ni", 0.5, seed=2, spin=1.5)
+    np.testing.assert_array_equal(part.cells, again.cells)
+    kept = np.ravel_multi_index(part.cells.T, part.size) * len(POLAR.labels) + part.sites
+    np.testing.assert_array_equal(part.spin, alloy.spin[kept])
+    whole = np.zeros((native.dim // 3, 3))
+    whole[kept] = start(part).reshape(-1, 3)
+    np.testing.assert_allclose(part.energy(start(part)), alloy.energy(whole.ravel()), rtol=1e-12)
+
+
+def test_the_g_of_substituted_ions():
+    alloy = co.systems.spins(CUBE, (4, 1, 1), spin=2, units="meV").substitute("Fe", 0.5, seed=1, spin=3, g=1.5)
+    alloy = alloy.field((0, 0, 2.0))
+    up = np.tile([0.0, 0, 1], 4)
+    assert np.isclose(alloy.energy(up), -2.0 * MU_B * (2 * 2 * 2 + 2 * 3 * 1.5), rtol=1e-8)
+    rates = alloy.vector_field(np.tile([1.0, 0, 0], 4))[1::3]
+    np.testing.assert_allclose(rates, np.where(alloy.spin == 3, -1.5, -2.0) * 2.0 * MU_B / HBAR, rtol=1e-8)
+    assert "2 of Fe: S = 3, moment 4.5 mu_B" in str(alloy)
+
+
 def test_members_and_batches():
     bond = CUBE.bonds(3)["1"]
     models = [co.systems.spins(CUBE, (3, 3, 1), periodic=(True, True, False)).exchange(bond, J) for J in (0.3, -0.8)]
@@ -374,6 +412,9 @@ def test_sites_of_equal_energy():
         (("fraction", "1.0"), lambda m: m.vacancies(1.0, seed=1)),
         (("one call",), lambda m: m.vacancies(0.1, seed=1).vacancies(0.1, seed=2)),
         (("Ni",), lambda m: m.vacancies({"Ni": 0.1}, seed=1)),
+        (("Ni",), lambda m: m.substitute("Ni", 0.1, seed=1, spin=1)),
+        (("spin",), lambda m: m.substitute("Fe", 0.1, seed=1, spin=0.0)),
+        (("g is 0",), lambda m: m.substitute("Fe", 0.1, seed=1, spin=1, g=0)),
         (("large", "units"), lambda m: m.field((0, 0, 1e150))),
         (
             ("twice", "2 x 4 x 4", "3 cells", "along a"),

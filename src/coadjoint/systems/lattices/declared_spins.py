@@ -91,6 +91,15 @@ class Anisotropy(NamedTuple):
     text: str
 
 
+class Substitution(NamedTuple):
+    """Sites, numbered among all of the lattice, that have other ions."""
+
+    numbers: Integers
+    spin: float
+    g: float
+    text: str
+
+
 @dataclass(frozen=True, eq=False)
 class Declaration:
     """What a user has declared of a spin model."""
@@ -102,6 +111,7 @@ class Declaration:
     spin: Floats  # of the sites of a cell
     g: Floats
     occupied: Integers | None = None
+    substitutions: tuple[Substitution, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     anisotropies: tuple[Anisotropy, ...] = ()
     field: Any = None

@@ -26,8 +26,8 @@ EXPONENT = 38.0  # beyond which exp(-x) is below round-off of the sums
 class DipolarCells(NamedTuple):
     """Cells of dipoles: edges (axes, 3) and sites (s, 3) in space, cells along each axis, whether they repeat.
 
-    `moments` (s,) multiply the spins of each site of a cell, and `occupied` are the numbers of the sites that have a
-    spin; None for all.
+    `moments` (s,) multiply the spins of each site of a cell, `occupied` are the numbers of the sites that have a spin,
+    None for all, and `factors` multiply single spins; None for 1.
     """
 
     edges: Floats
@@ -36,6 +36,7 @@ class DipolarCells(NamedTuple):
     periodic: bool
     moments: Floats
     occupied: Integers | None = None
+    factors: Floats | None = None
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -91,8 +92,10 @@ class DipolarFunction:
     def _gradient(self, x: Floats) -> Floats:
         import scipy.fft
 
-        sizes, axes, occupied = self.cells.sizes, self.cells.axes, self.cells.occupied
+        sizes, axes, occupied, factors = self.cells.sizes, self.cells.axes, self.cells.occupied, self.cells.factors
         padded = self.cells.padded
+        if factors is not None:
+            x = (x.reshape(-1, 3) * factors[:, None]).ravel()
         if occupied is not None:
             given, x = x.reshape(-1, 3), np.zeros(3 * len(self.cells.sites) * math.prod(sizes))
             x.reshape(-1, 3)[occupied] = given
@@ -104,11 +107,13 @@ class DipolarFunction:
         rows = np.moveaxis(result, (0, 1), (-2, -1)).reshape(-1)
         if occupied is not None:
             rows = rows.reshape(-1, 3)[occupied].ravel()
+        if factors is not None:
+            rows = (rows.reshape(-1, 3) * factors[:, None]).ravel()
         return np.asarray(self.strength * rows)
 
     def matrix(self) -> Floats:
         """Return the second derivatives, (n, n), by the direct sum, or of periodic cells by the transforms."""
-        edges, sites, sizes, periodic, moments, occupied = self.cells
+        edges, sites, sizes, periodic, moments, occupied, factors = self.cells
         cells = np.indices(sizes).reshape(len(sizes), -1).T
         here = np.arange(len(cells) * len(sites)) if occupied is None else occupied
         cell, site = cells[here // len(sites)], here % len(sites)
@@ -125,6 +130,8 @@ class DipolarFunction:
             tensors = np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / square[..., None, None]
             strengths = self.strength * (square**-1.5 - np.eye(len(r))) * (moments[site][:, None] * moments[site])
             tensors *= strengths[..., None, None]
+        if factors is not None:
+            tensors = tensors * (factors[:, None] * factors)[..., None, None]
         return np.asarray(np.swapaxes(tensors, 1, 2).reshape(3 * len(here), -1))
 
 

@@ -22,6 +22,7 @@ from coadjoint.systems.lattices.declared_spins import (
     Coupling,
     Declaration,
     ExchangeTable,
+    Substitution,
     cells_text,
     check_sizes,
     merged_bonds,
@@ -35,7 +36,7 @@ from coadjoint.systems.lattices.spin_lattice import (
     precession,
 )
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.validation import as_tuples, read_choice, read_finite, read_number, set_fields
+from coadjoint.validation import as_tuples, read_choice, read_finite, read_number, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -79,7 +80,7 @@ class SpinModel(LiePoissonSystem):
         matrices = np.zeros((cell, 3, 3))
         for anisotropy in declared.anisotropies:
             matrices[anisotropy.sites] += anisotropy.matrices
-        on_site = Blocks(matrices, self.sites)
+        on_site = self._scaled_by_lengths(Blocks(matrices, self.sites), (np.arange(count),))
         if not np.any(matrices):
             on_site = Blocks(np.zeros((1, 3, 3)), np.broadcast_to(np.int64(0), count))
         H: Any = coupled_spins(count, edges, blocks, Blocks(2.0 * on_site.distinct, on_site.number), -field)
@@ -89,6 +90,7 @@ class SpinModel(LiePoissonSystem):
             H = H + driving
         if declared.dipolar:
             moments = declared.g * declared.spin
+            factors = self.moments / moments[self.sites] if declared.substitutions else None
             cells = DipolarCells(
                 declared.crystal.lattice,
                 declared.crystal.positions @ declared.crystal.lattice,
@@ -96,9 +98,10 @@ class SpinModel(LiePoissonSystem):
                 declared.periodic[0],
                 moments,
                 occupied,
+                factors,
             )
             H = H + dipolar_energy(cells, units.dipole)
-        mu = units.hbar * (self.spin if np.ptp(declared.spin) else declared.spin[0])
+        mu = units.hbar * (self.spin if np.ptp(declared.spin) or declared.substitutions else declared.spin[0])
         plain = driven is None and not declared.dipolar
         J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
         exact = precession(count, edges, J, T if len(edges) else np.zeros((3, 3)), K, field, mu) if plain else None
@@ -128,16 +131,26 @@ class SpinModel(LiePoissonSystem):
             edges = new[edges]
             both = np.all(edges >= 0, axis=1)
             edges, numbers = edges[both], numbers[both]
-        moments = UNITS[declared.units].mu_B * (
-            self.moments if np.ptp(declared.g * declared.spin) else self.moments[:1]
-        )
+        blocks = self._scaled_by_lengths(Blocks(distinct, numbers), (edges[:, 0], edges[:, 1]))
+        alike = not (np.ptp(declared.g * declared.spin) or declared.substitutions)
+        moments = UNITS[declared.units].mu_B * (self.moments[:1] if alike else self.moments)
         field = declared.field
         if field is None:
             field = np.zeros(3)
         if callable(field):
-            return edges, Blocks(distinct, numbers), np.zeros(3), _scaled(field, moments, len(self.sites))
+            return edges, blocks, np.zeros(3), _scaled(field, moments, len(self.sites))
         field = moments[:, None] * field
-        return edges, Blocks(distinct, numbers), field[0] if len(field) == 1 else field, None
+        return edges, blocks, field[0] if len(field) == 1 else field, None
+
+    def _scaled_by_lengths(self, blocks: Blocks, ends: tuple[Integers, ...]) -> Blocks:
+        """Return matrices of edges (two ends) or sites (one) times the ratios of the lengths of substituted spins."""
+        if not self._declared.substitutions:
+            return blocks
+        ratios, classes = np.unique(self.spin / self._declared.spin[self.sites], return_inverse=True)
+        first, last = classes[ends[0]], classes[ends[-1]]
+        count = len(ratios)
+        distinct = blocks.distinct[:, None, None] * (ratios[:, None] * ratios)[:, :, None, None]
+        return Blocks(distinct.reshape(-1, 3, 3), (blocks.number * count + first) * count + last)
 
     @property
     def crystal(self) -> Crystal:
@@ -180,12 +193,19 @@ class SpinModel(LiePoissonSystem):
     @property
     def spin(self) -> Floats:
         """Length S of each spin, (sites,)."""
-        return self._declared.spin[self.sites]
+        return self._with_substituted(self._declared.spin, lambda ion: ion.spin)
 
     @property
     def moments(self) -> Floats:
         """Moment g S of each spin in units of mu_B, (sites,)."""
-        return (self._declared.g * self._declared.spin)[self.sites]
+        return self._with_substituted(self._declared.g * self._declared.spin, lambda ion: ion.g * ion.spin)
+
+    def _with_substituted(self, of_cell: Floats, of_ion: Callable[[Substitution], float]) -> Floats:
+        """Return numbers of the spins, from those of the sites of a cell, and of ions that are in their place."""
+        found, numbers = of_cell[self.sites], self._numbers
+        for ion in self._declared.substitutions:
+            found[np.searchsorted(numbers, ion.numbers[np.isin(ion.numbers, numbers)])] = of_ion(ion)
+        return found
 
     @property
     def positions(self) -> Floats:
@@ -412,7 +432,7 @@ class SpinModel(LiePoissonSystem):
         >>> co.systems.spins(cube, (4, 4, 4)).vacancies(0.25, seed=1).dim
         144
         """
-        declared, labels = self._declared, dict.fromkeys(self.crystal.labels)
+        declared = self._declared
         if declared.occupied is not None:
             raise ValueError("the model has vacancies; give all of them in one call")
         if not callable(declared.field) and np.ndim(declared.field) == 2:
@@ -420,20 +440,69 @@ class SpinModel(LiePoissonSystem):
                 "the model has a field for each spin; remove spins first, then give the field of the others"
             )
         given = fraction if isinstance(fraction, Mapping) else {None: fraction}
-        generator, numbers = np.random.default_rng(read_seed(seed, "seed")), self._numbers
-        removed = np.zeros(len(numbers), dtype=bool)
-        for label, value in given.items():
-            part = read_number(value, "fraction")
-            if not 0.0 <= part < 1.0:
-                raise ValueError(f"fraction is {part!r}; give a number from 0 to less than 1")
-            places = numbers
-            if label is not None:
-                of_label = np.array([one == read_choice(label, "label", labels) for one in self.crystal.labels])
-                places = numbers[of_label[self.sites]]
-            removed[generator.permutation(places)[: round(part * len(places))]] = True
-        if removed.all():
+        generator = np.random.default_rng(read_seed(seed, "seed"))
+        removed = np.concatenate([self._chosen(generator, label, value) for label, value in given.items()])
+        occupied = np.setdiff1d(self._numbers, removed)
+        if not len(occupied):
             raise ValueError(f"fraction is {short(fraction)}, which leaves no spin; give a smaller one")
-        return self._with(occupied=numbers[~removed])
+        return self._with(occupied=occupied)
+
+    def substitute(self, label: str, fraction: float, seed: int, *, spin: float, g: float | None = None) -> Self:
+        """Return the model with other ions at a random part of the sites of a label.
+
+        Choose it for alloys. The couplings of spins S are the same: exchange, Dzyaloshinskii-Moriya and single-ion
+        matrices multiply the lengths of the new spins, and the dipoles have their moments. Matrices of directions, as
+        of TB2J, are multiplied by the ratios of the lengths.
+
+        Parameters
+        ----------
+        label : str
+            Label of the sites.
+        fraction : float
+            Part of the spins of this label, from 0 to less than 1; their number is rounded.
+        seed : int
+            Seed of the choice, from 0 to 2^62.
+        spin : float
+            Length S of the new ions.
+        g : float, optional
+            Their g-factor; by default that of the sites.
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            An unknown label, or a number out of range.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> cube = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Mn": (0, 0, 0)})
+        >>> alloy = co.systems.spins(cube, (4, 4, 4), spin=5 / 2).substitute("Mn", 0.25, seed=1, spin=1)
+        >>> float(alloy.spin.sum())
+        136.0
+        """
+        length = read_positive(spin, "spin")
+        numbers = self._chosen(np.random.default_rng(read_seed(seed, "seed")), label, fraction)
+        own = float(self._declared.g[self.crystal.labels.index(label)])
+        factor = own if g is None else read_number(g, "g")
+        if factor == 0.0:
+            raise ValueError("g is 0; give another number")
+        check_sizes(np.array([length, 1.0 / length, factor]), "spin, or g,")
+        text = f"{len(numbers)} of {label}: S = {length:.6g}, moment {factor * length:.6g} mu_B"
+        return self._with(substitutions=(*self._declared.substitutions, Substitution(numbers, length, factor, text)))
+
+    def _chosen(self, generator: np.random.Generator, label: Any, fraction: Any) -> Integers:
+        """Return the numbers of a random part of the spins of a label, or of all, in order."""
+        part, numbers = read_number(fraction, "fraction"), self._numbers
+        if not 0.0 <= part < 1.0:
+            raise ValueError(f"fraction is {part!r}; give a number from 0 to less than 1")
+        if label is not None:
+            known = read_choice(label, "label", dict.fromkeys(self.crystal.labels))
+            numbers = numbers[np.array([one == known for one in self.crystal.labels])[self.sites]]
+        return np.sort(generator.permutation(numbers)[: round(part * len(numbers))])
 
     def with_forces(self, *forces: Force) -> Self:
         """Return the model with damping, torques or noise, see `System.with_forces`.
@@ -520,6 +589,7 @@ class SpinModel(LiePoissonSystem):
             f"{len(self.sites)} spins, {cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
             "H = sum of S_i . J S_j + D . (S_i x S_j) over bonds + S_i . A S_i - g mu_B B . S_i over sites",
             *kinds,
+            *(ion.text for ion in declared.substitutions),
         ]
         for one in declared.couplings:
             lines.append(f"bond {one.bond}: {one.text}{energy}")
