@@ -126,6 +126,20 @@ def test_helix_of_competing_exchange(tmp_path):
     assert abs(helix.energy) > abs(model.energy(np.tile([0.0, 0, 1], 12)))
 
 
+@pytest.mark.parametrize("angle", [20.0, 45.0, 70.0])
+def test_astroid_of_stoner_and_wohlfarth(tmp_path, angle):
+    """A spin with an easy axis leaves the side against a field at B_A (cos^(2/3) + sin^(2/3))^(-3/2), within 1e-3."""
+    chain, S, g, A = crystal_of(CHAIN, tmp_path), 2.0, 1.9, -0.05
+    model = co.systems.spins(chain, (1, 1, 1), spin=S, g=g, units="meV").single_ion("Ni", np.diag([0, 0, A]))
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    switching = -2 * A * S / (g * MU_B) * (c ** (2 / 3) + s ** (2 / 3)) ** -1.5
+    x = np.array([0.0, 0, 1])
+    for part, stays in ((0.9, True), (0.999, True), (1.001, False)):
+        damped = model.field(-part * switching * np.array([s, 0, c])).with_forces(co.forces.Gilbert(1.0))
+        x = co.integrate(damped, x, (0, 1000), 0.05, save_every=20000).x[-1]
+        assert (x[2] > 0.3) == stays
+
+
 def test_files_of_the_package():
     iron = co.spins.crystal(co.spins.structure("FeI2")).subcrystal("Fe")
     assert [len(bond.basis) for bond in iron.bonds(7.9)] == [4, 2, 4, 6]
