@@ -320,6 +320,23 @@ def test_members_and_batches():
         np.testing.assert_array_equal(runs.x[:, member], co.integrate(model, x, (2, 1.5), 0.05).x)
 
 
+def test_derivatives_by_exchange_constants():
+    """Of a run, by the exchange of one kind of bonds: its matrices of all edges are parameters of the system."""
+    S, bonds = 1.5, CUBE.bonds(4.3)
+
+    def model(J):
+        flat = co.systems.spins(CUBE, (3, 3, 1), spin=S, periodic=(True, True, False))
+        return flat.exchange(bonds["1"], J).exchange(bonds["2"], 0.2).field((0, 0.3, 0.5))
+
+    x, span, method, h = start(model(0.5)), (0, 0.5), co.Splitting(order=6), 1e-4
+    direction = np.zeros((36, 3, 3))
+    direction[:18] = S**2 * np.eye(3)  # bonds 1 are the first edges, two for each of nine sites
+    found = co.prepare(model(0.5), method, step=0.02).jvp(x, span, {"tensor": direction})[1].x[-1]
+    up, down = (co.integrate(model(0.5 + s * h), x, span, 0.02, method).x[-1] for s in (1, -1))
+    np.testing.assert_allclose(found, (up - down) / (2 * h), atol=1e-6)
+    assert np.abs(found).max() > 0.1
+
+
 @pytest.mark.parametrize("size", [(1, 1, 1), (2, 3, 5)])
 def test_dipoles_in_a_periodic_cube(size):
     """Parallel dipoles of a cubic crystal have the field mu0 M/3: an energy of -1/6 mu0 mu^2/V each."""
