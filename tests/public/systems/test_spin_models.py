@@ -337,12 +337,13 @@ def test_derivatives_by_exchange_constants():
     assert np.abs(found).max() > 0.1
 
 
-@pytest.mark.parametrize("size", [(1, 1, 1), (2, 3, 5)])
-def test_dipoles_in_a_periodic_cube(size):
+@pytest.mark.parametrize(("size", "a"), [((1, 1, 1), 3.0), ((2, 3, 5), 3.0), ((2, 1, 1), 3e-10), ((1, 2, 2), 3e30)])
+def test_dipoles_in_a_periodic_cube(size, a):
     """Parallel dipoles of a cubic crystal have the field mu0 M/3: an energy of -1/6 mu0 mu^2/V each."""
-    model = co.systems.spins(CUBE, size, spin=2, g=1.5).dipolar()
+    cube = co.spins.crystal(lattice=(a, a, a, 90, 90, 90), sites={"Fe": (0, 0, 0)}, space_group="P m -3 m")
+    model = co.systems.spins(cube, size, spin=2, g=1.5).dipolar()
     x = np.tile([0.36, 0.48, 0.8], model.dim // 3)
-    each = model.energy(x) / (model.dim / 3) / (4 * np.pi * 3.0**2 / 27)  # mu0 = 4 pi, moments 3, V = 27
+    each = model.energy(x) / (model.dim / 3) / (4 * np.pi * 3.0**2 / a**3)  # mu0 = 4 pi, moments 3
     assert abs(each + 1 / 6) < 1e-13
 
 

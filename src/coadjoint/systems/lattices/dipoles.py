@@ -195,10 +195,11 @@ def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
         square = np.sum(k**2, axis=-1)
         zero = square == 0.0
         square[zero] = 1.0
-        size = 4.0 * math.pi / volume * np.exp(-square / (4.0 * alpha**2)) / square
-        size[zero] = 0.0
-        if not np.any(size > 1e-18 * volume**-1.0):
+        fall = np.exp(-square / (4.0 * alpha**2))
+        fall[zero] = 0.0
+        if not np.any(fall > 1e-18):
             continue
+        size = 4.0 * math.pi / volume * fall / square
         phase = np.exp(1j * np.tensordot(steps, k, axes=(-1, -1)))
         found += phase[:, :, None, None] * (size * np.moveaxis(k[..., :, None] * k[..., None, :], (-2, -1), (0, 1)))
     return np.asarray(found)
