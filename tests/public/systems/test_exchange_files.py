@@ -125,6 +125,10 @@ def test_formats_have_the_energies_of_their_codes(tmp_path):
     (tmp_path / "bonds.csv").write_text("\n".join(rows))
     last = co.spins.read_exchange(tmp_path / "bonds.csv", CRYSTAL)
     np.testing.assert_allclose(model.exchange(last).energy(x), wanted, rtol=1e-12)
+    text = (tmp_path / "exchange.out").read_text().replace("[Testing!]", "[Experimental!]")  # of other versions
+    (tmp_path / "older.out").write_text(text)
+    older = co.spins.read_exchange(tmp_path / "older.out", CRYSTAL)
+    np.testing.assert_array_equal(older.matrices, table.matrices)
     near = co.spins.read_exchange(tmp_path / "exchange.out", CRYSTAL, max_distance=3.5)
     assert 0 < len(near.sites) < 4
 

@@ -29,6 +29,7 @@ RECIPROCITY = 0.01  # largest difference of a matrix and the transpose of its re
 MEV_PER_JOULE = 1.0 / 1.602176634e-22
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 TB2J_BOND = re.compile(rf"\s*(\S+)\s+(\S+)\s+\(\s*(-?\d+),\s*(-?\d+),\s*(-?\d+)\)\s+({NUMBER})\s+\(")
+TB2J_TAG = re.compile(r"\s*\[\w+!\]\s*")
 UCF_TYPES = {"isotropic": 1, "vectorial": 3, "tensorial": 9, "0": 1, "1": 3, "2": 9}
 MATRIX_COLUMNS = [f"J{a}{b}" for a in "xyz" for b in "xyz"]
 
@@ -245,23 +246,23 @@ def _tb2j(file: Path) -> ListedExchange:
     ends, offsets, matrices = [], [], []
     for number in range(heads["Exchange:"] + 1, len(lines)):
         line, where = lines[number], f"{file}, line {number + 1},"
-        if line.startswith("[Testing!] Jprime"):
+        part, _, values = TB2J_TAG.sub("", line).partition(":")
+        if part == "Jprime":
             raise ValueError(f"{where} has biquadratic exchange, which would be lost; remove such lines")
         bond = TB2J_BOND.match(line)
         if bond is not None:
             ends.append((bond[1], bond[2]))
             offsets.append([int(bond[m]) for m in (3, 4, 5)])
             matrices.append(float(bond[6]) * np.eye(3))
-        elif line.startswith("J_iso:") and matrices:
-            matrices[-1] = _numbers(line[6:], 1, where)[0] * np.eye(3)
-        elif "DMI:" in line and line.startswith(("[Testing!] DMI:", "DMI:")) and matrices:
-            matrices[-1] = matrices[-1] + antisymmetric(_numbers(line.partition(":")[2], 3, where))
-        elif line.replace(" ", "").startswith(("[Testing!]J_ani:", "J_ani:")) and matrices:
-            matrices[-1] = matrices[-1] + np.reshape(
-                _numbers(" ".join(lines[number + 1 : number + 4]), 9, where), (3, 3)
-            )
+        elif part == "J_iso" and matrices:
+            matrices[-1] = _numbers(values, 1, where)[0] * np.eye(3)
+        elif part == "DMI" and matrices:
+            matrices[-1] = matrices[-1] + antisymmetric(_numbers(values, 3, where))
+        elif part == "J_ani" and matrices:
+            rows = " ".join(lines[number + 1 : number + 4])
+            matrices[-1] = matrices[-1] + np.reshape(_numbers(rows, 9, where), (3, 3))
     if not ends:
-        raise ValueError(f"{file} has no bonds in its section Exchange")
+        raise ValueError(f"{file} has no bonds in its section Exchange, as TB2J writes them from version 0.3 on")
     return ListedExchange(lattice, atoms, ends, np.array(offsets), np.array(matrices), -1.0, "meV")
 
 
