@@ -21,7 +21,10 @@ from coadjoint.files import ovf
 from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
-from coadjoint.systems.lattices import crystals
+from coadjoint.systems.lattices.bonds import Bond, Site
+from coadjoint.systems.lattices.crystals import Crystal
+from coadjoint.systems.lattices.declared_spins import ExchangeTable
+from coadjoint.systems.lattices.spin_model import SpinModel
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
@@ -55,9 +58,17 @@ MEMBERS_OF = (
         "examples explicit flow_table order properties step symmetric tangent work",
     ),
     ("A splitting, in addition", co.Splitting, "describe processor sweeps tuned"),
-    ("A crystal", crystals.Crystal, "bonds subcrystal"),
-    ("A bond of a crystal", crystals.Bond, "exchange"),
+    ("A crystal", Crystal, "bonds site subcrystal"),
+    ("A bond of a crystal", Bond, "exchange"),
     ("A field of vectors in a file", ovf.OvfField, "spins"),
+    ("A site of a crystal", Site, "single_ion"),
+    ("A table of exchange", ExchangeTable, ""),
+    (
+        "A spin model on a crystal",
+        SpinModel,
+        "cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites size "
+        "spin substitute units vacancies",
+    ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
@@ -90,6 +101,7 @@ ATTRIBUTES_NOT_LISTED = (
     co.methods.Method,
     co.Splitting,
     co.PreparedRun,
+    SpinModel,
 )
 """Classes whose annotated attributes are not for users."""
 NAMESPACES = (

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from coadjoint.errors import refuse_others
-from coadjoint.files.crystals.read import crystal
+from coadjoint.files.crystals.exchange import read_exchange
+from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.ovf import read_ovf, write_ovf
 
-__all__ = ["crystal", "read_ovf", "write_ovf"]
+__all__ = ["crystal", "read_exchange", "read_ovf", "structure", "write_ovf"]
 
 TYPE_CHECKING = False
 

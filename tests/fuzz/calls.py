@@ -68,8 +68,18 @@ SAMPLES = pathlib.Path(FOLDER.name, "samples.csv")
 ROD = co.checkcases.get("rod", samples=5)
 ROD.write(SAMPLES)
 
+BONDS = pathlib.Path(FOLDER.name, "bonds.csv")
+BONDS.write_text("i,j,n1,n2,n3,J\n0,0,1,0,0,1\n")
+CUBE = co.spins.crystal(lattice=(1.0, 1.0, 1.0, 90.0, 90.0, 90.0), sites={"Fe": (0.0, 0.0, 0.0)})
+DIMERS = co.spins.crystal(lattice=(3.0, 3.0, 3.0, 90.0, 90.0, 90.0), sites={"Fe": (0.1, 0.2, 0.0)}, space_group="P 1")
+MODEL = co.systems.spins(DIMERS, (3, 3, 3))
+
 OBJECTS = {
     "AttitudeLog": LOG,
+    "Bond": CUBE.bonds(1.0)[0],
+    "Crystal": CUBE,
+    "Site": CUBE.site(0),
+    "SpinModel": MODEL,
     "Orbit": ORBIT,
     "CheckCase": ROD,
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
@@ -157,6 +167,17 @@ OWN = {
     "co.bodies.MassProperties": {"mass": 1.0, "inertia": (1.0, 2.0, 2.5)},
     "co.bodies.read": {"path": ROBOT},
     "co.spins.crystal": {"lattice": (1.0, 1.0, 1.0, 90.0, 90.0, 90.0), "sites": {"Fe": (0.0, 0.0, 0.0)}},
+    "Crystal.bonds": {"max_distance": 1.0},
+    "Crystal.site": {"site": "Fe"},
+    "SpinModel.dzyaloshinskii_moriya": {"bond": DIMERS.bonds(3.0)[0], "D": X},
+    "SpinModel.exchange": {"bond": DIMERS.bonds(3.0)[0], "J": EYE},
+    "SpinModel.field": {"B": X},
+    "SpinModel.single_ion": {"site": "Fe"},
+    "SpinModel.vacancies": {"fraction": 0.4},
+    "SpinModel.substitute": {"label": "Fe", "fraction": 0.4, "spin": 2.0},
+    "co.spins.read_exchange": {"path": BONDS, "crystal": CUBE},
+    "co.spins.structure": {"name": "MnF2"},
+    "co.systems.spins": {"crystal": CUBE, "size": (1, 1, 1)},
     "MassProperties.about": {"point": X},
     "co.certify": {"steps": 4},
     "co.export_c": {"prepared": READY, "path": ARCHIVE.with_name("run.h")},
@@ -223,7 +244,7 @@ LEFT_OUT = re.compile(
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"
     r"co\.results\.(mark|dataset|rebuild|solution)|Method\.(step|tangent|flow_table|work)|Solution\.check|"
-    r"Splitting\.(sweeps|processor)|co\.equilibrium|"
+    r"Splitting\.(sweeps|processor)|co\.equilibrium|Crystal\.subcrystal|"
     r"co\.(Certificate|Choice|Corrector|Equi|Freq|Integr.*Error|Lyap|Modified(F|H)|PhaseD|PreparedR|Rec|Sect|Sol|Therm)"
 )
 

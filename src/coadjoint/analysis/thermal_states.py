@@ -17,7 +17,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
-from coadjoint.systems.lattices.couplings import DipolarFunction
+from coadjoint.systems.lattices.dipoles import DipolarFunction
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_choice, read_finite, read_integer
 
@@ -239,7 +239,8 @@ def thermal_states(
         Copies of so(3) with an energy that is at most quadratic, such as `spin_lattice` with any of its couplings. With
         dipolar coupling spins are updated one by one, in time N^2 for each sweep.
     temperature : float or (members,) array_like
-        Boltzmann's constant times the temperature, in units of the energy; positive. One for all members, or for each.
+        Boltzmann's constant times the temperature, in units of the energy; kelvin for `co.systems.spins` in units of
+        meV. Positive, one for all members or for each.
     members : int, optional
         Number of members; None is that of `x0` or `temperature`, else 1.
     seed : int
@@ -293,13 +294,13 @@ def thermal_states(
     key = read_seed(seed, "seed")
     count = read_integer(sweeps, "sweeps", 1, MAX_SWEEPS, floats=True)
     extra = read_integer(over_relaxation, "over_relaxation", 0, MAX_OVER_RELAXATION)
-    kT = read_finite(temperature, "temperature")
+    kT = system.boltzmann * read_finite(temperature, "temperature")
     start = None if x0 is None else read_finite(x0, "x0")
     number = _members(members, kT, start, system.dim, system.name)
     if np.any(kT < MIN_TEMPERATURE):
         raise ValueError(
-            f"temperature is {float(kT.min())!r}; it must be positive, from {MIN_TEMPERATURE:g} up; co.equilibrium "
-            "finds states of lowest energy"
+            f"temperature is {float(kT.min() / system.boltzmann)!r}; it must be positive, from {MIN_TEMPERATURE:g} up; "
+            "co.equilibrium finds states of lowest energy"
         )
     check_available_memory(8 * number * (system.dim + 2 * count + 2), f"{short(number)} thermal states")
     group = max(1, min(number, SPINS_AT_ONCE // energies.sites))

@@ -9,6 +9,7 @@ from coadjoint.errors import unknown_attribute
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+from coadjoint.systems.lattices.spins_on_crystals import spins
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.planet import RotatingPlanet
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, FunctionStream, Weights
@@ -30,8 +31,9 @@ BUILDING_BLOCKS = (
     Weights,
     canonical_state,
     ready_made,
+    spins,
 )
-"""What user-defined systems are made of: streams of matrices, terms of Hamiltonians, registration."""
+"""What user-defined systems are made of: streams of matrices, terms of Hamiltonians, crystals, registration."""
 
 __all__ = sorted([*ready_made_systems(), *(block.__name__ for block in BUILDING_BLOCKS), "get", "names"])
 

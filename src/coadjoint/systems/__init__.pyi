@@ -44,6 +44,7 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm as FunctionTerm
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm as PolynomialTerm
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm as QuadraticTerm
 from coadjoint.systems.lattices.spin_lattice import spin_lattice as spin_lattice
+from coadjoint.systems.lattices.spins_on_crystals import spins as spins
 from coadjoint.systems.lattices.toda import toda as toda
 from coadjoint.systems.lattices.toda import toda_ring as toda_ring
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -102,6 +103,7 @@ __all__ = [
     "sphere_euler",
     "sphere_qg",
     "spin_lattice",
+    "spins",
     "surface_qg",
     "toda",
     "toda_ring",

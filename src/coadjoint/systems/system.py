@@ -53,6 +53,8 @@ class System:
         Damping, torques and noise, given by `with_forces`, and their labels, numbered from the second of a type on.
     reversible : bool
         Whether all forces can run backward in time.
+    boltzmann : float
+        Energy of a unit of the temperatures that `thermal_states` takes; 1 but for models in kelvin.
 
     Examples
     --------
@@ -94,6 +96,7 @@ class System:
     _base_parameters: dict[str, Any] | None = None  # of the system that has another linear term, without inputs
     _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
     closed_form: Callable[..., Any] | None = None  # ``exact(x0, t, attitude)``
+    boltzmann: float = 1.0  # energy of a unit of temperature
 
     @cached_property
     def shape(self) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import Crystal, expanded_crystal
 from coadjoint.systems.lattices.lattice_vectors import lattice_of
 from coadjoint.systems.lattices.space_groups import operations_by_name
-from coadjoint.validation import read_finite, read_path, read_positive
+from coadjoint.validation import read_choice, read_finite, read_path, read_positive
 
 
 @suggest_keywords
@@ -109,6 +109,40 @@ def crystal(
     vectors = lattice_of(lattice, "lattice")
     operations = None if space_group is None else operations_by_name(space_group, vectors, tol, "space_group")
     return expanded_crystal(vectors, _read_sites(sites), operations, tol)
+
+
+STRUCTURES = Path(__file__).parent / "structures"
+
+
+@suggest_keywords
+def structure(name: str) -> Path:
+    """Return the path of a structure file of the package, a CIF.
+
+    Choose it to try a model on a known crystal, and as a template of CIF.
+
+    Parameters
+    ----------
+    name : {"FeI2", "MnF2"}
+        FeI2: triangular layers of easy-axis spins; MnF2: an easy-axis antiferromagnet. The files name the sources of
+        their cell constants.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    ValueError, TypeError
+        An unknown name.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> co.spins.crystal(co.spins.structure("MnF2"))
+    <crystal of 6 sites in a cell (Mn 2, F 4), P 42/m n m (136)>
+    """
+    known = {file.stem: file for file in sorted(STRUCTURES.glob("*.cif"))}
+    return known[read_choice(name, "structure", known)]
 
 
 def _read_sites(sites: Any) -> list[tuple[str, str, npt.NDArray[np.float64]]]:

@@ -290,9 +290,9 @@ class HeatBath(DoubleBracketDamping):
         As for `DoubleBracketDamping`.
     temperature : float or (groups,) array_like
         Boltzmann's constant times the temperature, in units of ``system.energy(x)``, in SI units 1.380649e-23 T in J
-        with T in kelvin; zero or positive. Several are those of the independent groups of coordinates in their order,
-        such as one for each spin. Groups that the energy couples then exchange heat; where they are uncoupled each has
-        its own Boltzmann distribution.
+        with T in kelvin; zero or positive. Models of `co.systems.spins` in units of meV take kelvin. Several are those
+        of the independent groups of coordinates in their order, such as one for each spin. Groups that the energy
+        couples then exchange heat; where they are uncoupled each has its own Boltzmann distribution.
     seed : int
         Seed of the noise, from 0 to 2^62. It is required, so that no two runs share a noise by accident.
     stream : int

@@ -44,7 +44,7 @@ class Gilbert(HeatBath):
         Gilbert's damping constant of all spins or of each, dimensionless, zero or positive.
     temperature : float or (spins,) array_like
         Boltzmann's constant times the temperature of all spins or of each, in units of the energy; zero or positive.
-        With energies in meV and T in kelvin it is 0.08617 T.
+        With energies in meV and T in kelvin it is 0.08617 T; models of `co.systems.spins` in units of meV take kelvin.
     seed : int, optional
         Seed of the noise, from 0 to 2^62; required at a temperature above zero.
     stream : int

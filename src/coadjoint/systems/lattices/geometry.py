@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,11 +123,11 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     else:
         cell, closed = CELLS[lattice], lattice == "ring" or periodic
         axes = len(cell.edges)
-        sizes = _sizes(shape, axes, lattice)
+        sizes = read_sizes(shape, axes, "shape", f" for a lattice that is {lattice}")
         count = len(cell.sites) * math.prod(sizes)
         check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
         flags = read_flags(closed, axes)
-        edges = _edges_of_cells(cell, sizes, flags)
+        edges = np.concatenate(edges_of_bonds(len(cell.sites), cell.bonds, sizes, flags))
         if all(size >= 3 for size, flag in zip(sizes, flags, strict=True) if flag):
             return count, edges
         what, advice = (
@@ -138,12 +138,13 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     return count, edges
 
 
-def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
+def read_sizes(shape: Any, axes: int, what: str, where: str = "") -> tuple[int, ...]:
+    """Return the number of cells along each axis, validated."""
     rule = f"give {axes} whole numbers" if axes > 1 else "give one whole number"
-    sizes = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
+    sizes = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, what, rule)
     if len(sizes) != axes:
-        raise ValueError(f"shape is {short(shape)}; {rule} for a lattice that is {lattice}")
-    return tuple(read_integer(size, f"shape[{axis}]") for axis, size in enumerate(sizes))
+        raise ValueError(f"{what} is {short(shape)}; {rule}{where}")
+    return tuple(read_integer(size, f"{what}[{axis}]") for axis, size in enumerate(sizes))
 
 
 def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
@@ -155,19 +156,22 @@ def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
     return tuple(read_bool(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
 
 
-def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
+def edges_of_bonds(
+    sites: int, bonds: Iterable[tuple[int, int, tuple[int, ...]]], sizes: tuple[int, ...], periodic: tuple[bool, ...]
+) -> list[Integers]:
+    """Return the edges (edges, 2) of each bond of a cell of some sites, for all cells."""
     numbers = np.arange(math.prod(sizes), dtype=np.int64).reshape(sizes)
-    edges, sites = [], len(cell.sites)
-    for first, second, step in cell.bonds:
+    edges = []
+    for first, second, step in bonds:
         cells, others = numbers, numbers
         for axis, (shift, size, closed) in enumerate(zip(step, sizes, periodic, strict=True)):
             others = np.roll(others, -shift, axis) if shift else others
             if shift and not closed:
-                inside = slice(max(0, -shift), size - max(0, shift))
+                inside = slice(max(0, -shift), max(0, size - max(0, shift)))
                 index = (slice(None),) * axis + (inside,)
                 cells, others = cells[index], others[index]
         edges.append(np.stack([cells.ravel() * sites + first, others.ravel() * sites + second], axis=1))
-    return np.concatenate(edges)
+    return edges
 
 
 def _read_edges(edges: Any, count: int) -> Integers:

@@ -14,12 +14,14 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.caching import MAX_CACHED_SIZE
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.coefficients import EnergyCoefficients
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lattices.couplings import coefficients_of_spins, coupled_spins, dipolar_energy, driving_field
+from coadjoint.systems.lattices.couplings import Blocks, coefficients_of_spins, coupled_spins, driving_field
+from coadjoint.systems.lattices.dipoles import dipolar_energy, named_cells
 from coadjoint.systems.lattices.geometry import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -115,7 +117,8 @@ def spin_lattice(
 
     The Landau-Lifshitz equations without damping: copies of so(3), sign +1, and, summed over edges (i, j) and sites i,
     ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. J > 0 is ferromagnetic. One
-    spin in a field B precesses about it by the angle ``-|B| t``.
+    spin in a field B precesses about it by the angle ``-|B| t``. On structure files, with units, and with the sign of
+    SpinW, choose `co.systems.spins`.
 
     Spins are angular momenta. For magnetic moments, ``m' = -gamma m cross B`` as in VAMPIRE, mumax3 and Spirit, with
     the mirrored precession, take S = -m: the states and `field` with the other sign, all else as it is.
@@ -205,7 +208,8 @@ def spin_lattice(
         T = np.zeros((3, 3))
     if not len(edges):
         D = np.zeros(3)
-    H: Any = coupled_spins(sites, edges, *_couplings(J, T, D, B, K))
+    coupling, of_sites, linear = _couplings(J, T, D, B, K)
+    H: Any = coupled_spins(sites, edges, Blocks.of(coupling, len(edges)), Blocks.of(of_sites, sites), linear)
     uniform = None
     if driven:
         driving, uniform = driving_field(field, sites)
@@ -219,29 +223,31 @@ def spin_lattice(
             raise ValueError(
                 "dipolar is given with moments that differ, and has one strength for all pairs; give equal moments"
             )
-        H = H + dipolar_energy(layout["lattice"], shape, periodic, strength)
+        H = H + dipolar_energy(named_cells(layout["lattice"], shape, periodic), strength)
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
     exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B, mu)
     return LiePoissonSystem(
-        _with_moments(_few_spins(sites) if sites <= 8 else _spins(sites), mu),
-        H,
-        sign=+1,
-        casimirs=None
-        if sites <= MAX_RECORDED_SPINS
-        else KnownInvariants({"sum of |x|^2": partial(_sum_of_squares, sites)}),
-        name="spin_lattice",
+        hamiltonian=H,
+        **on_spins(sites, mu),
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else _integrals(sites, T, D, K, B, uniform, mu),
+        integrals={} if strength else known_integrals(sites, T, D, K, B, uniform, mu),
         layout=layout,
     )
+
+
+def on_spins(sites: int, mu: Floats) -> dict[str, Any]:
+    """Return the algebra, the sign, the Casimirs and the name of a system of spins of moments mu."""
+    known = KnownInvariants({"sum of |x|^2": partial(_sum_of_squares, sites)}) if sites > MAX_RECORDED_SPINS else None
+    algebra = _with_moments(_few_spins(sites) if sites <= 8 else _spins(sites), mu)
+    return {"algebra": algebra, "sign": +1, "casimirs": known, "name": "spin_lattice"}
 
 
 def _sum_of_squares(sites: int) -> Quadratic:
     return Quadratic(np.full(3 * sites, 2.0))
 
 
-def _integrals(sites: int, *couplings: Any) -> Mapping[str, Any]:
+def known_integrals(sites: int, *couplings: Any) -> Mapping[str, Any]:
     """Return the constant components of the total spin, checked for few spins, and for many made when they are read."""
     found = total_spins(sites, *couplings)
     return KnownInvariants(found) if sites > MAX_RECORDED_SPINS else {name: make() for name, make in found.items()}
@@ -274,12 +280,21 @@ def _with_moments(algebra: LieAlgebra, mu: Floats) -> LieAlgebra:
     """Return the algebra of directions of spins of moments mu: brackets over moments."""
     if np.all(mu == 1.0):
         return algebra
+    if np.ndim(mu) == 0 and algebra.dim > 3:
+        return copies(_with_moments(_spins(1), mu), algebra.dim // 3)
     inverse = np.repeat(np.broadcast_to(1.0 / mu, algebra.dim // 3), 3)
-    i, j, k, c = algebra.triples
     matrices = None if algebra.representation is None else algebra.representation * inverse[:, None, None]
-    brackets = Triples(i.copy(), j.copy(), k.copy(), c * inverse[i])
     known = dict(algebra.casimirs_known)
-    return LieAlgebra._from_valid(brackets, algebra.dim, algebra.basis, f"{algebra.name} of moments", matrices, known)
+    brackets = partial(_over_moments, algebra, inverse)
+    constants = brackets if algebra.dim > MAX_CACHED_SIZE else brackets()
+    # Names are made when they are read.
+    names = partial(getattr, algebra, "basis")
+    return LieAlgebra._from_valid(constants, algebra.dim, names, f"{algebra.name} of moments", matrices, known)
+
+
+def _over_moments(algebra: LieAlgebra, inverse: Floats) -> Triples:
+    i, j, k, c = algebra.triples
+    return Triples(i.copy(), j.copy(), k.copy(), c * inverse[i])
 
 
 def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:

@@ -1,0 +1,170 @@
+"""What users declare of a spin model on a crystal: units, lengths, couplings of bonds, anisotropies of sites."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.short_repr import short
+from coadjoint.systems.lattices.crystals import Crystal
+from coadjoint.systems.lattices.spin_lattice import MAX_COUPLING
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+AXES = "abc"
+
+
+class Units(NamedTuple):
+    """Constants of nature in the units of a model, and its units of energy, field, time, temperature and length."""
+
+    hbar: float
+    mu_B: float
+    k_B: float
+    dipole: float  # mu0 mu_B^2 / (4 pi)
+    names: tuple[str, str, str, str, str]
+
+
+# CODATA 2022; hbar and k_B are exact.
+UNITS = {
+    "natural": Units(1.0, 1.0, 1.0, 1.0, ("", "", "", "", "")),
+    "meV": Units(
+        0.6582119569509067,
+        0.057883817982,
+        0.08617333262145179,
+        0.053681511053262,
+        (" meV", " T", " ps", " K", " angstrom"),
+    ),
+}
+
+
+class Coupling(NamedTuple):
+    """Matrices of bonds of a cell, that act on unit vectors; `bonds` (k, 5) are sites and offsets."""
+
+    what: str
+    bond: str
+    bonds: Integers
+    matrices: Floats
+    text: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExchangeTable:
+    """Exchange matrices of bonds of a cell, each bond once; `co.spins.read_exchange` makes them.
+
+    Attributes
+    ----------
+    sites : (bonds, 2) array of int
+        First and second site of each bond.
+    offsets : (bonds, 3) array of int
+        Cell of the second site.
+    matrices : (bonds, 3, 3) array
+        J of the energy ``S_i . J S_j``: positive ones are antiferromagnetic.
+    units : str
+        ``"meV"``, or ``"natural"``.
+    of_directions : bool
+        Whether the matrices belong to directions of length 1, as of TB2J and VAMPIRE, else to spins of lengths S.
+    source : str
+        The file.
+    """
+
+    sites: Integers
+    offsets: Integers
+    matrices: Floats
+    units: str
+    of_directions: bool
+    source: str
+
+    def __repr__(self) -> str:
+        of = "directions" if self.of_directions else "spins of lengths S"
+        return f"<exchange of {len(self.sites)} bonds of a cell, {self.units}, for {of}, from {short(self.source)}>"
+
+
+class Anisotropy(NamedTuple):
+    """Single-ion matrices of sites of a cell, that act on unit vectors."""
+
+    sites: Integers
+    matrices: Floats
+    text: str
+
+
+class Substitution(NamedTuple):
+    """Sites, numbered among all of the lattice, that have other ions."""
+
+    numbers: Integers
+    spin: float
+    g: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Declaration:
+    """What a user has declared of a spin model."""
+
+    crystal: Crystal
+    size: tuple[int, int, int]
+    periodic: tuple[bool, bool, bool]
+    units: str
+    spin: Floats  # of the sites of a cell
+    g: Floats
+    occupied: Integers | None = None
+    substitutions: tuple[Substitution, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    anisotropies: tuple[Anisotropy, ...] = ()
+    field: Any = None
+    dipolar: bool = False
+
+
+def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, list[int]]:
+    """Return the bonds of a cell, each once, the distinct matrices, and which of them each bond has."""
+    total: dict[tuple[int, ...], Floats] = {}
+    owner: dict[tuple[int, ...], str] = {}
+    for coupling in declared.couplings:
+        for key, matrix in zip(map(tuple, coupling.bonds.tolist()), coupling.matrices, strict=True):
+            back = (key[1], key[0], *(-n for n in key[2:]))
+            if back in total:
+                total[back] = total[back] + matrix.T
+            else:
+                total[key] = total[key] + matrix if key in total else matrix
+            owner.setdefault(key, coupling.bond)
+    seen: dict[tuple[int, ...], tuple[int, ...]] = {}
+    for key in total:
+        for i, j, *n in (key, (key[1], key[0], *(-m for m in key[2:]))):
+            wrapped = [
+                m % size if flag else m for m, size, flag in zip(n, declared.size, declared.periodic, strict=True)
+            ]
+            place = (i, j, *wrapped)
+            other = (i, i, 0, 0, 0) if i == j and not any(wrapped) else seen.setdefault(place, (i, j, *n))
+            if other != (i, j, *n):
+                raise _cut_twice(declared, owner[key], (i, j, *n), other)
+    known: dict[bytes, int] = {}
+    kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
+    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
+    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
+
+
+def _cut_twice(declared: Declaration, name: str, bond: tuple[int, ...], other: tuple[int, ...]) -> ValueError:
+    """Return the error of two bonds that join the same sites of a periodic lattice."""
+    labels, (i, j, *n) = declared.crystal.labels, bond
+    alone = i == j and not any(other[2:])
+    far = [abs(m if alone else m - k) * (1 + alone) + 1 for m, k in zip(n, other[2:], strict=True)]
+    axis = int(np.argmax(far))
+    joined = "to itself" if alone else f"and {labels[j]} {j} twice"
+    return ValueError(
+        f"bond {name} joins {labels[i]} {i} {joined} in {cells_text(declared.size)} cells, at the offsets {tuple(n)} "
+        f"and {tuple(other[2:])}; take at least {far[axis]} cells along {AXES[axis]}, or periodic=False there"
+    )
+
+
+def check_sizes(values: Floats, what: str) -> None:
+    """Raise ValueError for numbers whose products may leave the range of float64."""
+    if not np.abs(values).max(initial=0.0) <= MAX_COUPLING:
+        raise ValueError(f"{what} has numbers beyond {MAX_COUPLING:g}; take larger units")
+
+
+def cells_text(size: tuple[int, ...]) -> str:
+    """Return numbers of cells as text."""
+    return " x ".join(map(str, size))
