@@ -19,12 +19,16 @@ from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import MAX_ITERATIONS
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-HISTORY = 6
+HISTORY = 8
 """Earlier steps from which the stages are extrapolated, by a polynomial in time."""
-CONVERGED = 2 * UNIT_ROUNDOFF
-"""Last correction of h S, relative to it or to one, whichever is larger."""
-# A correction that no longer falls is round-off if it is smaller than this.
-STAGNANT = 2**16 * UNIT_ROUNDOFF
+CONVERGED = 4 * UNIT_ROUNDOFF
+"""Estimated error of h S, relative to it or to one, whichever is larger: the last correction times their ratio."""
+# Updates of S for each P, which converges faster: errors of V fall by the square of h |P| / 2.
+SWEEPS = 2
+# Smallest ratio of corrections that is assumed, since they may oscillate; and times sqrt(N) the correction below which
+# one that does not fall is round-off.
+FASTEST, STAGNANT = 0.1, 16 * UNIT_ROUNDOFF
+LARGEST = float(np.finfo(np.float64).max)
 # Rows of extrapolations: from k known steps, the last one first.
 EXTRAPOLATIONS = np.array([[(-1) ** j * comb(k, j + 1) for j in range(HISTORY)] for k in range(HISTORY + 1)], float)
 
@@ -43,9 +47,10 @@ def isospectral_steps(system: Any, scheme: IsospectralGauss, fractions: Sequence
         return W + (Z - adjoint(Z)) + skew_part(product(Z, adjoint(C)))
 
     def improved(constants: Any, W: Any, h: Any, S: Any) -> Any:
-        C = h * jnp.tensordot(a, S, 1)
-        P = stream(constants, conjugated(W, C))
-        return P + product(P, C)
+        P = stream(constants, conjugated(W, h * jnp.tensordot(a, S, 1)))
+        for _ in range(SWEEPS):
+            S = P + product(P, h * jnp.tensordot(a, S, 1))
+        return S
 
     def substep(constants: Any, W: Any, history: Any, count: Any, h: Any) -> Any:
         update = partial(improved, constants, W, h)
