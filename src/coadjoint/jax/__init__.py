@@ -113,7 +113,7 @@ def solution(
         Where runs are computed. ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX,
         on all devices, from the table of a splitting, or with 20 iterations in each step of `GaussLegendre`; with
         forces, batches, inputs of the energy, and attitudes by splittings; for fluids of matrices by `IsospectralGauss`
-        and its compositions, without forces; not for other schemes and compensated sums.
+        and its compositions, with viscosity and friction; not for other schemes and compensated sums.
         The numbers agree to rounding, those of noise too. See docs/derivatives.md.
 
     Returns

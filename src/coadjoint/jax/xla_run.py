@@ -67,7 +67,7 @@ class XlaRun:
                     f'{self._system.name}; prepare the run without, or take backend="compiled"'
                 )
             steps, self._table = _steps_and_table(self._system.unforced, forced.inner, group)
-            field = _field(self._system.unforced, self._table)
+            field = None if self._system.has_matrices else _field(self._system.unforced, self._table)
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table = _steps_and_table(self._system.unforced, method, group)

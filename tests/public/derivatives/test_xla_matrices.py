@@ -87,6 +87,34 @@ def test_runs_agree_with_the_compiled_ones_and_keep_the_spectrum(name, run):
     assert np.abs(spectra - spectra[0]).max() < 1e-13 * np.abs(spectra[0]).max()
 
 
+F = co.forces
+PUSH = start_of(made("torus_euler"), 3)
+FORCED = {
+    "damped planet": (("sphere_euler", {"rotation": 1.0}), (F.Viscosity(0.05), F.LinearDamping(0.2)), {}),
+    "on the torus": (("torus_euler", {}), (F.BetaPlane(0.7), F.Friction(lambda k: 0.1 * k)), {"t_eval": [0.31, 0.4]}),
+    "of two layers": (("reduced_mhd", {}), (F.Viscosity(0.05, layer="carried"), F.Friction(0.2)), {"save_every": 7}),
+    "of mountains": (("sphere_qg", {"lamb": 2.0, "rotation": 1.0}), (F.Friction(0.3), F.Viscosity(0.02, power=2)), {}),
+    "pushed": (("torus_euler", {}), (F.Torque(PUSH), F.Viscosity(0.1)), {}),
+}
+
+
+@pytest.mark.parametrize("method", [co.IsospectralGauss(), COMPOSED])
+@pytest.mark.parametrize("name", FORCED)
+@pytest.mark.thinned(8)
+def test_forces_act_as_in_the_compiled_runs(name, method):
+    (system, parameters), forces, options = FORCED[name]
+    system = made(system, **parameters)
+    x0, forced = start_of(system), system.with_forces(*forces)
+    found, wanted = both(forced, method, 0.02, (0.3, 0.6), x0, **options)
+    assert np.abs(found - wanted).max() < tolerance(system, 15)
+    assert np.abs(found[-1] - without_forces(system, method, 0.02, (0.3, 0.6), x0, **options)[-1]).max() > 1e-3
+
+
+def without_forces(system, method, h, span, x0, **options):
+    """Return the states of the compiled run without forces."""
+    return co.prepare(system, method, h).run(x0, span, **options).x
+
+
 def test_output_times_within_steps():
     system = made("torus_euler")
     times = [0.3, 0.31, 0.4, 0.44]
@@ -184,6 +212,9 @@ def of_function():
 @pytest.mark.parametrize(("system", "method", "named"), [
     (of_function, co.IsospectralGauss(), ("own fluid", "function")),
     (lambda: co.systems.torus_euler(N=5), co.LineSplitting(), ("LineSplitting", "IsospectralGauss")),
+    (lambda: made("torus_euler").with_forces(F.SelectiveDecay(0.1)), co.IsospectralGauss(), ("SelectiveDecay",)),
+    (lambda: made("torus_euler").with_forces(F.RandomForcing(0.1, (1, 2), seed=1)), co.IsospectralGauss(),
+     ("RandomForcing",)),
     (lambda: made("torus_euler").in_numbers, co.IsospectralGauss(), ("torus_euler", "matrices")),
     (lambda: co.MatrixSystem(co.MatrixAlgebra("gl", 2), Weights(np.eye(2))), co.IsospectralGauss(), ("gl(2, R)",)),
 ])  # fmt: skip
