@@ -21,14 +21,11 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 HISTORY = 8
 """Earlier steps from which the stages are extrapolated, by a polynomial in time."""
-CONVERGED = 4 * UNIT_ROUNDOFF
-"""Estimated error of h S, relative to it or to one, whichever is larger: the last correction times their ratio."""
-# Updates of S for each P, which converges faster: errors of V fall by the square of h |P| / 2.
+# Updates of S for each P: errors of V then fall by the square of h |P| / 2, and the iteration by about 30.
 SWEEPS = 2
-# Smallest ratio of corrections that is assumed, since they may oscillate; and times sqrt(N) the correction below which
+# Last correction of h S, relative to it or to one, whichever is larger; and times sqrt(N) the correction below which
 # one that does not fall is round-off.
-FASTEST, STAGNANT = 0.1, 16 * UNIT_ROUNDOFF
-LARGEST = float(np.finfo(np.float64).max)
+CONVERGED, STAGNANT = 4 * UNIT_ROUNDOFF, 16 * UNIT_ROUNDOFF
 # Rows of extrapolations: from k known steps, the last one first.
 EXTRAPOLATIONS = np.array([[(-1) ** j * comb(k, j + 1) for j in range(HISTORY)] for k in range(HISTORY + 1)], float)
 
@@ -83,23 +80,23 @@ def isospectral_steps(system: Any, scheme: IsospectralGauss, fractions: Sequence
 
 def fixed_point(update: Callable[[Any], Any], first: Any, h: Any) -> Any:
     """Return the fixed point of the stages; NaN if corrections do not fall to round-off."""
+    stagnant = STAGNANT * np.sqrt(first.shape[-1])
 
     def is_converged(change: Any, least: Any, size: Any) -> Any:
         scale = jnp.maximum(1.0, size)
-        return (change <= CONVERGED * scale) | ((change <= STAGNANT * scale) & (change >= least))
+        return (change <= CONVERGED * scale) | ((change <= stagnant * scale) & (change >= least))
 
-    def going(carry: Any) -> Any:
+    def unfinished(carry: Any) -> Any:
         _, change, least, size, count = carry
         return (count < MAX_ITERATIONS) & ~is_converged(change, least, size) & (change < jnp.inf)
 
     def iteration(carry: Any) -> Any:
         S, change, least, _, count = carry
         new = update(S)
-        least = jnp.minimum(least, change)
-        return new, jnp.abs(h) * largest(new - S), least, jnp.abs(h) * largest(new), count + 1
+        return new, jnp.abs(h) * largest(new - S), jnp.minimum(least, change), jnp.abs(h) * largest(new), count + 1
 
-    infinite = jnp.finfo(jnp.float64).max
-    S, change, least, size, _ = lax.while_loop(going, iteration, (first, infinite, infinite, 0.0, 0))
+    huge = jnp.finfo(jnp.float64).max
+    S, change, least, size, _ = lax.while_loop(unfinished, iteration, (first, huge, huge, 0.0, 0))
     return jnp.where(is_converged(change, least, size), S, jnp.nan)
 
 
@@ -112,11 +109,11 @@ def _linear_solution(matvec: Callable[[Any], Any], right: Any) -> Any:
             rest = right - matvec(x)
             return x + rest, largest(rest), count + 1
 
-        def going(carry: Any) -> Any:
+        def unfinished(carry: Any) -> Any:
             x, change, count = carry
-            return (count < MAX_ITERATIONS) & (change > 4 * UNIT_ROUNDOFF * largest(x))
+            return (count < MAX_ITERATIONS) & (change > CONVERGED * largest(x))
 
-        return lax.while_loop(going, iteration, (right, jnp.inf, 0))[0]
+        return lax.while_loop(unfinished, iteration, (right, jnp.inf, 0))[0]
 
     return lax.custom_linear_solve(matvec, right, solve, solve)
 

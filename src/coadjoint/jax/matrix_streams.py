@@ -51,9 +51,7 @@ def _map_of(stream: Any, name: str) -> tuple[Any, Callable[[Any, Any], Any]]:
         N = stream.size
         factors = np.array([np.concatenate([np.zeros(m), stream.factors[m:]]) for m in range(N)])
         return (harmonics_by_diagonal(N), factors), lambda arrays, W: scale_harmonics(arrays[0], arrays[1], W)
-    raise TypeError(
-        f'JAX takes streams by numbers, and that of {name} is a function; take backend="compiled", or prepared.run'
-    )
+    raise TypeError(f"JAX takes streams by numbers, and that of {name} is a function; take prepared.run")
 
 
 def adjoint(A: Any) -> Any:
@@ -75,18 +73,14 @@ def diagonals(W: Any) -> Any:
 def of_diagonals(D: Any) -> Any:
     """Return the skew-Hermitian matrices with these diagonals, of which the main one is kept as it is."""
     N = D.shape[-1]
-    lead = D.shape[:-2]
-    padded = jnp.concatenate([D, jnp.zeros((*lead, N, N + 1), D.dtype)], -1)
-    U = padded.reshape(*lead, -1)[..., : 2 * N * N].reshape(*lead, N, 2 * N)[..., :N]
+    U = _sheared(jnp.concatenate([D, jnp.zeros((*D.shape[:-1], N + 1), D.dtype)], -1), 2 * N)[..., :N]
     return U - adjoint(jnp.triu(U, 1))
 
 
 def _sheared(A: Any, width: int) -> Any:
-    """Return rows (..., N, 2 N), joined, as N rows of another width, padded by zeros."""
-    N, lead = A.shape[-2], A.shape[:-2]
-    flat = A.reshape(*lead, -1)
-    missing = max(0, N * width - flat.shape[-1])
-    flat = jnp.concatenate([flat, jnp.zeros((*lead, missing), A.dtype)], -1)
+    """Return the joined rows (..., N, k) as N rows of another width, cut or padded by zeros."""
+    *lead, N, k = A.shape
+    flat = jnp.concatenate([A.reshape(*lead, -1), jnp.zeros((*lead, max(0, N * (width - k))), A.dtype)], -1)
     return flat[..., : N * width].reshape(*lead, N, width)
 
 
@@ -109,9 +103,8 @@ def _recurrence(factors: Any, D: Any, reverse: bool) -> Any:
     def joined(first: Any, second: Any) -> Any:
         return first[0] * second[0], second[0] * first[1] + second[1]
 
-    lead = D.ndim - 2
-    f = jnp.broadcast_to(factors, D.shape)
-    return lax.associative_scan(joined, (f, D), reverse=reverse, axis=lead)[1]
+    factors = jnp.broadcast_to(factors, D.shape)
+    return lax.associative_scan(joined, (factors, D), reverse=reverse, axis=D.ndim - 2)[1]
 
 
 def _multiply(table: Any, P: Any) -> Any:

@@ -50,7 +50,7 @@ class ParametrizedRun:
         if len(prepared.system.shape) > 1 and not takes_matrices:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
-                "prepared.jvp and prepared.vjp"
+                'prepared.jvp and prepared.vjp, or co.jax.solution with backend="xla"'
             )
         if prepared.system.is_batch and prepared.system.forces:
             raise TypeError(
