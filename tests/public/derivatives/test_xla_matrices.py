@@ -92,7 +92,11 @@ F = co.forces
 PUSH = start_of(made("torus_euler"), 3)
 FORCED = {
     "on the torus": (("torus_euler", {}), (F.BetaPlane(0.7), F.Friction(lambda k: 0.1 * k)), {"t_eval": [0.31, 0.4]}),
-    "damped planet": (("sphere_euler", {"rotation": 1.0}), (F.Viscosity(0.05), F.LinearDamping(0.2)), {}),
+    "damped planet": (
+        ("sphere_euler", {"rotation": 1.0}),
+        (F.Viscosity(0.05, rotation=True), F.LinearDamping(0.2)),
+        {},
+    ),
     "of two layers": (("reduced_mhd", {}), (F.Viscosity(0.05, layer="carried"), F.Friction(0.2)), {"save_every": 7}),
     "of mountains": (("sphere_qg", {"lamb": 2.0, "rotation": 1.0}), (F.Friction(0.3), F.Viscosity(0.02, power=2)), {}),
     "pushed": (("torus_euler", {}), (F.Torque(PUSH), F.Viscosity(0.1)), {}),
