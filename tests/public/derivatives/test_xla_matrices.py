@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.systems.matrices.streams import Weights
 from long import long_beyond
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -205,6 +204,10 @@ def of_function():
     return co.MatrixSystem(co.MatrixAlgebra("su", 3), lambda W: 2.0 * W, name="own fluid")
 
 
+def of_real_matrices():
+    return co.MatrixSystem(co.MatrixAlgebra("gl", 2), co.systems.Weights(np.eye(2)))
+
+
 @pytest.mark.parametrize(("system", "method", "named"), [
     (of_function, co.IsospectralGauss(), ("own fluid", "function")),
     (lambda: co.systems.torus_euler(N=5), co.LineSplitting(), ("LineSplitting", "IsospectralGauss")),
@@ -212,7 +215,7 @@ def of_function():
     (lambda: made("torus_euler").with_forces(F.RandomForcing(0.1, (1, 2), seed=1)), co.IsospectralGauss(),
      ("RandomForcing",)),
     (lambda: made("torus_euler").in_numbers, co.IsospectralGauss(), ("torus_euler", "matrices")),
-    (lambda: co.MatrixSystem(co.MatrixAlgebra("gl", 2), Weights(np.eye(2))), co.IsospectralGauss(), ("gl(2, R)",)),
+    (of_real_matrices, co.IsospectralGauss(), ("gl(2, R)",)),
 ])  # fmt: skip
 def test_systems_that_are_refused(system, method, named):
     with refused(TypeError, *named):
