@@ -1,11 +1,17 @@
 """Milliseconds a step of the isospectral midpoint rule on the quantized sphere, beside quflow's where that is at hand.
 
-python benchmarks/fluids.py [--sizes N ...] [--steps S] [--rounds R] [--threads T] [--quflow FOLDER]
+python benchmarks/fluids.py [--sizes N ...] [--steps S] [--rounds R] [--threads T] [--refined K] [--quflow FOLDER]
+                            [--xla]
 
 FOLDER holds the package `quflow` (https://github.com/klasmodin/quflow), which also needs h5py, appdirs and ducc0. Both
-take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it. Each
-time is the shortest of the rounds, and of the processor for one thread, so that other programs change it little. Runs
-of small matrices are timed over more steps.
+take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it, or
+with K = 0 against the compiled run. Each time is the shortest of the rounds, and of the processor for one thread, so
+that other programs change it little. Runs of small matrices are timed over more steps.
+
+With --xla the steps are also taken by JAX, on its default device; for a graphics processor install its wheels of JAX,
+such as `pip install "coadjoint[jax]" "jax[cuda12]"`, and run
+
+python benchmarks/fluids.py --xla --sizes 512 1024 2048 4096 --steps 20 --rounds 3 --threads 16 --refined 0
 """
 
 from __future__ import annotations
@@ -15,11 +21,10 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 ROTATION = 0.1 * 3.141592653589793  # of the fastest mode in a step: what quflow's `estimate_stepsize` recommends
-REFINED = 16
 MANY = 2 * 10**8  # over N^3: timed steps
 
 
@@ -29,6 +34,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--refined", type=int, default=16, help="steps of the reference in a step; 0: no reference")
+    parser.add_argument("--xla", action="store_true", help="also by JAX, on its default device")
     parser.add_argument("--quflow", help="the folder that holds the package quflow")
     parser.add_argument("--seed", type=int, default=1)
     return parser.parse_args()
@@ -37,6 +44,8 @@ def arguments() -> argparse.Namespace:
 GIVEN = arguments()
 for pool in ("OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[pool] = str(GIVEN.threads)
+if GIVEN.threads == 1:
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
 import numpy as np  # noqa: E402, after the number of threads is set
 
@@ -57,8 +66,19 @@ def product(n: int) -> float:
     return min(timed(lambda: [A @ A for _ in range(calls)])[1] for _ in range(20)) / calls
 
 
+@cache
+def device() -> str:
+    """Return the kind of device on which JAX computes; empty without it."""
+    if not GIVEN.xla:
+        return ""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    return str(jax.default_backend())
+
+
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    clock = time.process_time if GIVEN.threads == 1 else time.perf_counter
+    clock = time.process_time if GIVEN.threads == 1 and device() in ("", "cpu") else time.perf_counter
     begun = clock()
     found = call()
     return found, clock() - begun
@@ -70,6 +90,13 @@ def contenders(system: Any, step: float) -> dict[str, Callable[[np.ndarray, int]
     found: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
         "coadjoint": lambda W, steps: ready.run(W, (0.0, steps * step), save_every=steps).x[-1]
     }
+    if GIVEN.xla:
+
+        @cache
+        def run_of(steps: int) -> Callable[[np.ndarray], Any]:
+            return co.jax.solution(ready, (0.0, steps * step), steps, backend="xla")
+
+        found[f"coadjoint, XLA on {device()}"] = lambda W, steps: np.asarray(run_of(steps)(W)[-1])
     if GIVEN.quflow:
         sys.path.insert(0, GIVEN.quflow)
         from quflow.geometry import hbar
@@ -91,11 +118,11 @@ def main() -> None:
         W = start(system, GIVEN.seed)
         step = ROTATION / np.abs(system.spectrum(system.stream(W))).max()
         solvers = contenders(system, step)
-        fine = co.IsospectralGauss(stages=1)
-        span, length = (0.0, GIVEN.steps * step), step / REFINED
-        exact = co.integrate(system, W, t_span=span, step=length, method=fine, save_every=GIVEN.steps * REFINED).x[-1]
         taken: dict[str, list[float]] = {name: [] for name in solvers}
         ends = {name: solve(W, GIVEN.steps) for name, solve in solvers.items()}
+        exact, span, fine = ends["coadjoint"], (0.0, GIVEN.steps * step), co.IsospectralGauss(stages=1)
+        if k := GIVEN.refined:
+            exact = co.integrate(system, W, span, step / k, fine, save_every=GIVEN.steps * k).x[-1]
         steps = max(GIVEN.steps, MANY // n**3)
         for _ in range(GIVEN.rounds):
             for name, solve in solvers.items():

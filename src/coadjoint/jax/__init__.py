@@ -112,16 +112,18 @@ def solution(
     backend : {"compiled", "xla"}
         Where runs are computed. ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX,
         on all devices, from the table of a splitting, or with 20 iterations in each step of `GaussLegendre`; with
-        forces, batches, inputs of the energy, and attitudes by splittings; not for other schemes and compensated sums.
+        forces, batches, inputs of the energy, and attitudes by splittings; for fluids of matrices by `IsospectralGauss`
+        and its compositions, with viscosity and friction; not for other schemes and compensated sums.
         The numbers agree to rounding, those of noise too. See docs/derivatives.md.
 
     Returns
     -------
     callable
         A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (k, n) for x0 of shape (n,) and
-        (k, members, n) for (members, n); for a run prepared with an attitude the pair of states and attitudes. The
-        parameters are those of ``ready.parameters``, in their shapes, and default to these values; with inputs they are
-        the inputs. A system with other values is prepared in each call, and the last one is cached.
+        (k, members, n) for (members, n), where matrices have the axes (N, N) in place of n; for a run prepared with an
+        attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
+        and default to these values; with inputs they are the inputs. A system with other values is prepared in each
+        call, and the last one is cached.
 
     Raises
     ------

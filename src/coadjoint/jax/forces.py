@@ -13,6 +13,7 @@ from jax import lax
 from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
+from coadjoint.jax.matrix_forces import MatrixForceReader
 from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
 from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
@@ -28,13 +29,22 @@ Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""
 
 
-def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: Forced) -> Steps:
+def steps_between_forces(inner: Steps, system: Any, field: Any, scheme: Forced) -> Steps:
     """Return steps between half flows of forces, as `methods.Forced`; constants: the scheme's, then coefficients."""
     plain = system.unforced
-    readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
+    readers: list[Any] = [
+        MatrixForceReader(plain, system.labels[k])
+        if plain.has_matrices
+        else ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order)
+        for k, _ in system.flows
+    ]
     described = [force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)]
     # Before and after a substep.
     flows: list[tuple[Flow, Flow]] = [flow if type(flow) is tuple else (flow, flow) for flow in described]
+
+    # Unfinished states of matrices have the stages of earlier steps of one length, beside their numbers.
+    unfinished = plain.has_matrices and len(scheme.fractions) == 1
+    advance = inner.step if unfinished else inner.whole
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         own, energy = constants
@@ -43,7 +53,7 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
             (x, attitude), (begin, length, halves) = state, at
             for j, time, duration in halves[0]:
                 x = flows[j][0](energy, x, time, duration, member)
-            x, attitude = inner.whole(own, (x, attitude), begin, length, member)
+            x, attitude = advance(own, (x, attitude), begin, length, member)
             for j, time, duration in halves[1]:
                 x = flows[j][1](energy, x, time, duration, member)
             return x, attitude
@@ -60,7 +70,20 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
         return lax.scan(scanned, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
     functions = *inner.functions, *(one for reader in readers for one in reader.functions)
-    return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step, functions=functions)
+
+    def constants_of(energy: Any) -> Any:
+        return inner.constants(energy), jnp.asarray(energy)
+
+    if not unfinished:
+        return Steps(constants_of, step, step, functions=functions)
+
+    def begin(constants: Any, state: Any, t: Any, h: Any) -> Any:
+        return inner.begin(constants[0], state, t, h)
+
+    def whole(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        return inner.finish(constants, step(constants, begin(constants, state, t, h), t, h, member))
+
+    return Steps(constants_of, step, whole, begin, inner.finish, functions)
 
 
 class ForceReaders:
@@ -164,11 +187,6 @@ class ForceReaders:
             return noisy(jnp.concatenate([x, jnp.atleast_1d(tau), *drawn]), t)
 
         return flow
-
-    def mode_rates(self, *_: Any) -> Flow:
-        raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
-
-    mode_noise = on_matrix_orbit = matrix_noise = mode_transport = mode_rates
 
     def kicks(self, kicks: Kicks, seed: int, stream: int) -> Flow:
         """Return additive noise, exact."""

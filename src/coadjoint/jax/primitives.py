@@ -32,13 +32,13 @@ def solve(run: ParametrizedRun, x0: Any, attitude0: Any, parameters: Mapping[str
     return tuple(outputs) if len(outputs) > 1 else outputs[0]
 
 
-def doubles(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert values to arrays of float64; raise TypeError for lower precision, or if JAX has no other."""
+def doubles(values: Mapping[str, Any], dtype: Any = np.float64) -> dict[str, Any]:
+    """Convert values to arrays of float64, and x0 to `dtype`; raise TypeError for numbers of lower precision."""
     if not jax.config.jax_enable_x64:
         raise TypeError(
             'JAX computes in float32 and coadjoint in float64; call jax.config.update("jax_enable_x64", True) first'
         )
-    return {name: _double(name, value) for name, value in values.items()}
+    return {name: _double(name, value, dtype if name == "x0" else np.float64) for name, value in values.items()}
 
 
 def unrounded(name: str, value: Any) -> Any:
@@ -49,14 +49,12 @@ def unrounded(name: str, value: Any) -> Any:
     return jnp.asarray(value)
 
 
-def _double(name: str, value: Any) -> Any:
-    """Convert whole numbers to float64, and refuse numbers of lower precision."""
+def _double(name: str, value: Any, dtype: Any) -> Any:
+    """Convert whole numbers to `dtype`, also float64 to complex128, and refuse numbers of lower precision."""
     array = unrounded(name, value)
-    if jnp.issubdtype(array.dtype, jnp.integer):
-        return array.astype(jnp.float64)
-    if array.dtype != jnp.float64:
-        raise TypeError(f"{name} has the dtype {array.dtype}; give float64")
-    return array
+    if not jnp.issubdtype(array.dtype, jnp.integer) and array.dtype not in (jnp.float64, dtype):
+        raise TypeError(f"{name} has the dtype {array.dtype}; give {jnp.dtype(dtype).name}")
+    return array.astype(dtype)
 
 
 # What the primitives compute, with arrays of NumPy, and the shapes of that.

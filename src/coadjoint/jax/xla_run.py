@@ -13,12 +13,15 @@ from jax import lax
 
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.forces import steps_between_forces
+from coadjoint.jax.isospectral_steps import isospectral_steps, project
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
 from coadjoint.jax.traced_functions import compare_with_compiled, sample_states
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
+from coadjoint.methods.isospectral_gauss import IsospectralGauss
+from coadjoint.methods.protocol.composed import Substeps
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.generators import given_matrices, group_side
@@ -27,6 +30,7 @@ from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import with_group
+from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
 CALLER = 'co.jax.solution with backend="xla"'
@@ -44,10 +48,14 @@ class XlaRun:
 
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._prepared = prepared
-        self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True)
+        self._run = ParametrizedRun(
+            prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True, takes_matrices=True
+        )
         inputs = prepared.inputs
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
+        first = self._system.of_member(0).unforced
+        self._is_complex = first.has_matrices and first.complex
         method, group = prepared.method, prepared.representation
         if self._system.is_batch:
             self._steps, self._table = self._describe_members(method, group)
@@ -59,7 +67,7 @@ class XlaRun:
                     f'{self._system.name}; prepare the run without, or take backend="compiled"'
                 )
             steps, self._table = _steps_and_table(self._system.unforced, forced.inner, group)
-            field = _field(self._system.unforced, self._table)
+            field = None if self._system.has_matrices else _field(self._system.unforced, self._table)
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table = _steps_and_table(self._system.unforced, method, group)
@@ -81,10 +89,17 @@ class XlaRun:
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
         """Return the states (points, n) or (points, members, n)."""
         given = self._run.arguments(x0, attitude0, parameters)
-        values = doubles(given)
+        values = doubles(given, np.complex128 if self._is_complex else np.float64)
         self._run.check({name: value.shape for name, value in values.items()})
+        if parameters and len(self._system.shape) > 1:
+            raise ValueError(
+                f"{next(iter(parameters))} of {self._system.name} has the value of the prepared run with "
+                'backend="xla"; prepare a run of a system with another one'
+            )
         states = (self._intervals + 2) * values["x0"].size
-        check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
+        check_available_memory(
+            values["x0"].dtype.itemsize * states, f"the {self._intervals + 2} states of the run, with {CALLER},"
+        )
         known = {name: _known_numbers(value) for name, value in given.items()}
         start, attitude = known["x0"], known.get("attitude0")
         if start is not None:
@@ -141,12 +156,12 @@ class XlaRun:
     # The steps.
 
     def _solve(self, values: Mapping[str, Any]) -> Any:
-        x0, attitude = unit_or_nan(self._system, values["x0"]), values.get("attitude0", self._attitude)
+        x0, attitude = usable_or_nan(self._system, values["x0"]), values.get("attitude0", self._attitude)
         parameters = {name: value for name, value in values.items() if name not in ("x0", "attitude0")}
         energy, of_batch = self._energy(parameters), self._constants is not None
         constants = self._constants if of_batch else self._steps.constants(energy)
         members = member_numbers(*map(lax.stop_gradient, (x0, *parameters.values()))) if self._system.has_noise else 0
-        if x0.ndim == 1:
+        if x0.ndim == len(self._system.shape):
             x, A = self._trajectory(constants, x0, attitude, members)
         else:
             of_members = None if attitude is None or attitude.ndim == 2 else 0
@@ -208,13 +223,20 @@ def _known_numbers(value: Any) -> Any:
         return lax.stop_gradient(leaf) if isinstance(leaf, jax.core.Tracer) else leaf
 
     try:
-        return np.array(jax.tree.map(known, value), dtype=np.float64)
+        numbers = np.array(jax.tree.map(known, value), subok=True)
+        return numbers if numbers.dtype.kind == "c" else numbers.astype(np.float64)
     except jax.errors.TracerArrayConversionError:
         return None
 
 
-def unit_or_nan(system: Any, x0: Any) -> Any:
-    """Return initial states, NaN where a coordinate that must be 1 is not: traced ones raise no errors."""
+def usable_or_nan(system: Any, x0: Any) -> Any:
+    """Return initial states, NaN where a coordinate that must be 1 is not, or a matrix is not of the algebra.
+
+    Traced states raise no errors.
+    """
+    first = system.of_member(0).unforced
+    if first.has_matrices:
+        return project(first, x0)
     unit, *others = {unit_coordinate(one.unforced) for one in system.distinct}
     if unit is None or others:
         return x0
@@ -244,6 +266,12 @@ def _field(system: Any, table: Mapping[str, Any]) -> StageField:
 def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mapping[str, Any]]:
     """Return the steps of a scheme for a system without forces, and a table with at least the energy and parameters."""
     scheme = method.expanded
+    if system.has_matrices:
+        return _matrix_steps(system, method), {
+            "fixed": [],
+            "parameters": {},
+            "energy": {"monomials": [], "coefficients": ()},
+        }
     if not system.has_structure_constants:
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
@@ -260,6 +288,23 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
     flow_table = scheme.flow_table(system, group=group)
     table = flow_table.to_mapping()
     return table_steps(table, flow_table.functions, *_of_group(flow_table, group)), table
+
+
+def _matrix_steps(system: Any, method: Any) -> Steps:
+    """Return the steps of an isospectral scheme for a system of matrices without forces."""
+    scheme = method.expanded
+    base = scheme.base if isinstance(scheme, Substeps) else scheme
+    if not isinstance(base, IsospectralGauss):
+        raise TypeError(f"{CALLER} takes IsospectralGauss and its compositions for matrices, not {method}")
+    if system.shape != system.matrix_shape:
+        raise TypeError(f"{CALLER} takes states that are matrices; give {system.name} without in_numbers")
+    if system.matrix_shape != system.algebra.shape and not isinstance(system, TwoLayerSystem):
+        raise TypeError(f"{CALLER} takes states of one matrix or two layers, not those of {system.name}")
+    if not system.algebra.skew or system.algebra.blocks:
+        raise TypeError(
+            f"{CALLER} takes skew-Hermitian matrices of one block, not those of {system.algebra}; take prepared.run"
+        )
+    return isospectral_steps(system, base, scheme.fractions)
 
 
 def _structure_differs(

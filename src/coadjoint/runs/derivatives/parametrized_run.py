@@ -23,8 +23,9 @@ from coadjoint.systems.user_functions import is_called_in_python
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
 
-# Largest number of members, and of steps if these call Python, of the run in which the step of a first run is checked.
-CHECKED_MEMBERS, CHECKED_CALLS = 64, 100
+# Largest number of members of the run in which the step of a first run is checked, of steps if these call Python or are
+# of matrices, and of rows of these.
+CHECKED_MEMBERS, CHECKED_CALLS, CHECKED_ROWS = 64, 100, 128
 
 
 class ParametrizedRun:
@@ -39,16 +40,17 @@ class ParametrizedRun:
         caller: str,
         *,
         takes_inputs: bool = False,
+        takes_matrices: bool = False,
     ) -> None:
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
         if prepared.inputs is not None and (prepared.system.is_batch or not takes_inputs):
             of_batch = " of a batch" if takes_inputs else ""
             raise TypeError(f"{caller} was given a run{of_batch} prepared with inputs; prepare without inputs=")
-        if len(prepared.system.shape) > 1:
+        if len(prepared.system.shape) > 1 and not takes_matrices:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
-                "prepared.jvp and prepared.vjp"
+                'prepared.jvp and prepared.vjp, or co.jax.solution with backend="xla"'
             )
         if prepared.system.is_batch and prepared.system.forces:
             raise TypeError(
@@ -84,26 +86,28 @@ class ParametrizedRun:
     def check(self, shapes: Mapping[str, Shape]) -> None:
         """Raise ValueError for unknown names and wrong shapes of values."""
         system, d, x0 = self._prepared.system, self._side, shapes["x0"]
-        n, members = system.dim, len(system) if system.is_batch else "members"
-        known: dict[str, tuple[Shape, ...]] = {"x0": ((n,), (*x0[:1], n))}
+        shape, members = tuple(system.shape), len(system) if system.is_batch else "members"
+        of_members = f"({members}, {', '.join(map(str, shape))})"
+        known: dict[str, tuple[Shape, ...]] = {"x0": (shape, (*x0[:1], *shape))}
         if system.is_batch:
-            known["x0"] = ((len(system), n),)
+            known["x0"] = ((len(system), *shape),)
         if d:
             known["attitude0"] = (d, d), (*x0[:-1], d, d)
-        known |= {name: (shape,) for name, shape in self._shapes.items()}
-        for name, shape in shapes.items():
+        known |= {name: (expected,) for name, expected in self._shapes.items()}
+        for name, given in shapes.items():
             if name not in known:
                 raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
-            if shape not in known[name] or 0 in shape:
-                if name == "x0" and system.is_batch and shape == (n,):
+            if given not in known[name] or 0 in given:
+                if name == "x0" and system.is_batch and given == shape:
                     raise ValueError(
-                        f"x0 has the shape {shape}; the {members} members of {system.name} are one run: call the "
-                        f"function with ({members}, {n}), also in place of jax.vmap over the members"
+                        f"x0 has the shape {given}; the {members} members of {system.name} are one run: call the "
+                        f"function with {of_members}, also in place of jax.vmap over the members"
                     )
-                single = "" if system.is_batch else f"({n},) or "
-                expected = {"x0": f"{single}({members}, {n})", "attitude0": f"({d}, {d}) or ({members}, {d}, {d})"}
-                must_be = expected.get(name, known[name][0])
-                raise ValueError(f"{name} has the shape {shape}; it must be {must_be}, as prepared")
+                single = "" if system.is_batch else f"{shape} or "
+                texts = {"x0": f"{single}{of_members}", "attitude0": f"({d}, {d}) or ({members}, {d}, {d})"}
+                raise ValueError(
+                    f"{name} has the shape {given}; it must be {texts.get(name, known[name][0])}, as prepared"
+                )
 
     def output_shapes(self, x0: Shape) -> list[Shape]:
         leading = (self._points, *x0[:-1])
@@ -127,7 +131,10 @@ class ParametrizedRun:
         if prepared.inputs is not None:
             arguments |= {name: given[name] for name in given if name in self._shapes}
         terms = (term for one in system.distinct for term in one.hamiltonian.terms() if term.called)
-        if times.steps > CHECKED_CALLS and any(is_called_in_python(term.gradient) for term in terms):
+        if system.shape[-1] > CHECKED_ROWS and len(system.shape) > 1:
+            return
+        is_slow = len(system.shape) > 1 or any(is_called_in_python(term.gradient) for term in terms)
+        if times.steps > CHECKED_CALLS and is_slow:
             arguments |= {"t_span": (times.t0, times.t0 + CHECKED_CALLS * times.h), "save_every": 1, "t_eval": None}
         try:
             solution = run.run(x0, attitude=attitude, **arguments)
