@@ -15,7 +15,7 @@ from coadjoint.files.output.output_files import OVFS, check_target, pending
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
-from coadjoint.validation import read_choice, read_finite, read_integer, read_number, read_title
+from coadjoint.validation import read_choice, read_finite, read_integer, read_number, read_path, read_title
 
 Floats = npt.NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def read_ovf(path: str | Path) -> OvfField:
     >>> bool(np.allclose(field.spins((4, 2)), x0)), field.spins((8, 4)).shape
     (True, (96,))
     """
-    content = content_of(Path(path), LARGEST_FILE, "an OVF file", factor=3)
+    content = content_of(read_path(path, "path"), LARGEST_FILE, "an OVF file", factor=3)
     start = re.search(
         rb"(?im)^#[ \t]*begin:[ \t]*data[ \t]+(text|binary[ \t]*[48])[ \t]*\r?\n", content[:LONGEST_HEADER]
     )
