@@ -181,21 +181,39 @@ def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients:
     collected, products, chosen = _candidates(algebra, terms)
     if not len(chosen):
         return np.ones(coefficients.shape[1], dtype=bool)
-    forms = [term.form for term in collected if term.form is not None]
-    if len(forms) < len(collected):
+    if any(isinstance(term, FunctionTerm) for term in collected):
         return np.zeros(coefficients.shape[1], dtype=bool)
     n, start = algebra.dim + 1, 0
     row, state, column, constant = (values[chosen] for values in products)
     empty = np.zeros(0, dtype=np.int64)
     codes, numbers, factors = [empty], [empty], [np.zeros(0)]
-    for term in forms:
-        owner, entry = expand(term.indptr[column], term.indptr[column + 1])
-        pair = np.sort([state[owner], term.indices[entry].astype(np.int64)], axis=0) + 1
-        linear = np.flatnonzero(term.linear[column] != 0)
-        codes += [(row[owner] * n + pair[0]) * n + pair[1], row[linear] * n**2 + state[linear] + 1]
-        numbers += [start + len(term.linear) + entry, start + column[linear]]
-        factors += [np.asarray(constant[where], dtype=np.float64) for where in (owner, linear)]
-        start += len(term.linear) + len(term.values)
+    higher: dict[tuple[int, ...], int] = {}  # monomials of more than two coordinates, behind all others of a row
+    for term in collected:
+        if (form := term.form) is not None:
+            owner, entry = expand(form.indptr[column], form.indptr[column + 1])
+            pair = np.sort([state[owner], form.indices[entry].astype(np.int64)], axis=0) + 1
+            linear = np.flatnonzero(form.linear[column] != 0)
+            codes += [(row[owner] * n + pair[0]) * n + pair[1], row[linear] * n**2 + state[linear] + 1]
+            numbers += [start + len(form.linear) + entry, start + column[linear]]
+            factors += [np.asarray(constant[where], dtype=np.float64) for where in (owner, linear)]
+            start += len(form.linear) + len(form.values)
+            continue
+        exponents = np.array(list(term.to_polynomial().monomials), dtype=np.int64).reshape(-1, algebra.dim)
+        product, monomial = np.nonzero(exponents[:, column].T)
+        keys = []
+        for q, k in zip(product.tolist(), monomial.tolist(), strict=True):
+            powers = exponents[k].copy()
+            powers[column[q]] -= 1
+            powers[state[q]] += 1
+            key = (0, *(np.repeat(np.arange(algebra.dim), powers) + 1).tolist())
+            if len(key) <= 3:
+                keys.append((int(row[q]) * n + key[-2]) * n + key[-1])
+            else:
+                keys.append(n**3 + higher.setdefault((int(row[q]), *key), len(higher)))
+        codes.append(np.array(keys, dtype=np.int64))
+        numbers.append(start + monomial)
+        factors.append(np.asarray(constant[product], dtype=np.float64) * exponents[monomial, column[product]])
+        start += len(exponents)
     _, monomial = np.unique(np.concatenate(codes), return_inverse=True)
     values = np.concatenate(factors)[:, None] * coefficients[np.concatenate(numbers)]
     total, size = (np.zeros((int(monomial.max(initial=-1)) + 1, coefficients.shape[1])) for _ in range(2))

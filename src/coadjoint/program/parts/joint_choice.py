@@ -122,17 +122,21 @@ def _nested(algebra: LieAlgebra, gradient: Floats, hessian: Floats, points: Floa
     sign = 1.0 if absolute else -1.0
     if absolute:
         gradient, hessian, points, c = map(np.abs, (gradient, hessian, points, c))
-    n, count = points.shape[1], len(points)
+    (count, n), atoms = points.shape, len(gradient)
     structure = np.zeros((n, n, count))
     np.add.at(structure, (i, j), c[:, None] * points[:, k].T)
     np.add.at(structure, (j, i), sign * c[:, None] * points[:, k].T)
-    rotated = np.einsum("pqx,bxq->bxp", structure, gradient, optimize=True)
-    inner = np.einsum("axpq,bxq->abxp", hessian, rotated, optimize=True)
+    structure = np.ascontiguousarray(np.moveaxis(structure, -1, 0))
+    rotated = structure @ gradient[..., None]
+    inner = (hessian[:, None] @ rotated)[..., 0]
     inner = inner + sign * np.swapaxes(inner, 0, 1)
     pairs = gradient[:, None, :, i] * gradient[None, :, :, j] + sign * gradient[:, None, :, j] * gradient[None, :, :, i]
-    np.add.at(np.moveaxis(inner, -1, 0), k, np.moveaxis(c * pairs, -1, 0))
-    outer = np.einsum("pqx,bcxq->bcxp", structure, inner, optimize=True)
-    return np.einsum("axp,bcxp->abcx", gradient, outer, optimize=True)
+    sums = np.zeros((len(k), n))
+    sums[np.arange(len(k)), k] = c
+    outer = structure @ (inner + pairs @ sums)[..., None]
+    columns = outer[..., 0].transpose(2, 3, 0, 1).reshape(count, n, atoms**2)
+    products = gradient.swapaxes(0, 1) @ columns
+    return np.moveaxis(products.reshape(count, atoms, atoms, atoms), 0, -1)
 
 
 def _derivatives(

@@ -7,7 +7,7 @@ import linecache
 import math
 import traceback
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from textwrap import indent
 from typing import Any
 
@@ -211,15 +211,22 @@ class Graph:
 
 def _defined(source: str, constants: tuple[float, ...]) -> Callable[..., Any]:
     """Define the function of a source text, which `inspect` finds like that of any other function, and its floats."""
-    arguments = ", ".join(f"c{k}" for k in range(len(constants)))
+    function: Callable[..., Any] = _factory(source, len(constants))(*constants)
+    function.__defined__ = source, constants  # type: ignore[attr-defined]
+    return function
+
+
+@lru_cache(maxsize=256)
+def _factory(source: str, count: int) -> Callable[..., Any]:
+    """Return the function of so many floats that defines the function of a source text."""
+    arguments = ", ".join(f"c{k}" for k in range(count))
     text = f"def closed_over({arguments}):\n{indent(source, '    ')}    return derived\n"
     name = f"<derived {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}>"
     linecache.cache[name] = len(text), None, text.splitlines(keepends=True), name
     names: dict[str, Any] = {"np": np, "__name__": DERIVED_MODULE}
     exec(compile(text, name, "exec", dont_inherit=True), names)
-    function: Callable[..., Any] = names["closed_over"](*constants)
-    function.__defined__ = source, constants  # type: ignore[attr-defined]
-    return function
+    factory: Callable[..., Any] = names["closed_over"]
+    return factory
 
 
 def picklable_function(function: Any) -> Any:
