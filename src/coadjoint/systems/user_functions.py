@@ -6,7 +6,8 @@ import inspect
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -103,6 +104,35 @@ def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
     """Return a function, for compiled ones, from a share to the first of its bodies and the step to the next."""
     shares = number_of_shares(bodies)
     return lambda share: (int(share), shares) if share >= 0.0 else (0, 1)
+
+
+class OfConstants(NamedTuple):
+    """How a function of y follows from constants (k,): `make` returns that of other ones, `key` is what they share."""
+
+    make: Callable[[npt.NDArray[np.float64]], Any]
+    constants: npt.NDArray[np.float64]
+    key: Any
+
+    @property
+    def pattern(self) -> bytes:
+        """Which constants vanish, and which are equal: of each, -1 or the first that it is equal to."""
+        _, first, inverse = np.unique(self.constants, return_index=True, return_inverse=True)
+        return np.where(self.constants == 0.0, -1, first[inverse]).astype(np.int64).tobytes()
+
+
+def at_constants(function: Callable[..., Any], constants: npt.NDArray[np.float64]) -> Callable[..., Any]:
+    """Return a function of (y, constants) as one of y, for which `of_constants` finds both."""
+
+    def of_y(y: Any) -> Any:
+        return function(y, constants)
+
+    of_y.of_constants = OfConstants(partial(at_constants, function), constants, function)  # type: ignore[attr-defined]
+    return of_y
+
+
+def of_constants(function: Any) -> OfConstants | None:
+    """Return how a function follows from constants, if it is known."""
+    return getattr(function, "of_constants", None)
 
 
 def forms_of(function: Any) -> Forms | None:

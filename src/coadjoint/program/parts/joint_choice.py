@@ -376,7 +376,7 @@ def _ordered(
         found.append(of_members)
     fewest = len(alternatives[0][1])
     unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
-    if not unordered and fewest > MAX_PERMUTED:
+    if not unordered and (fewest > MAX_PERMUTED or stack.functions_differ):
         return []
     sized = (
         [
@@ -433,9 +433,9 @@ def _of_members(
             return None
     chosen = _shifted(stack, casimirs, by_name)[1](np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, shift)
-    sources = sources_of_parts(term_table(parts).table(), parts, terms)
-    if sources.computed:
+    if np.any(parts.source == COMPUTED):
         return None
+    sources = sources_of_parts(term_table(parts).table(), parts, terms)
     constants = {"offset": parts.offset, "weight": parts.weights.value}
     offset, weight = (sources.multiples[name].at(each, chosen.split) for name, each in constants.items())
     return chosen, sources, angles_of(parts, offset, weight)
