@@ -6,7 +6,7 @@ import inspect
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,10 +160,19 @@ def kind_of_name(name: str) -> str | None:
 
 def parameters_of_function(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return the parameters of a function; none of a built-in one without a signature."""
+    function = getattr(function, "py_func", function)
+    # Systems of an ensemble have partial functions of the same one.
+    if type(function) is partial and type(function.func) is types.FunctionType and not function.keywords:
+        return list(_parameters_of_code(function.func))[len(function.args) :]
     try:
-        return list(inspect.signature(getattr(function, "py_func", function)).parameters.values())
+        return list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
         return []
+
+
+@lru_cache(maxsize=64)
+def _parameters_of_code(function: types.FunctionType) -> tuple[inspect.Parameter, ...]:
+    return tuple(inspect.signature(function).parameters.values())
 
 
 def check_places(function: Callable[..., Any], name: str, arguments: str) -> None:
