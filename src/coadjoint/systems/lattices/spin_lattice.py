@@ -232,19 +232,13 @@ def spin_lattice(
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else _integrals(sites, T, D, K, B, uniform, mu),
+        integrals={} if strength else KnownInvariants(total_spins(sites, T, D, K, B, uniform, mu)),
         layout=layout,
     )
 
 
 def _sum_of_squares(sites: int) -> Quadratic:
     return Quadratic(np.full(3 * sites, 2.0))
-
-
-def _integrals(sites: int, *couplings: Any) -> Mapping[str, Any]:
-    """Return the constant components of the total spin, checked for few spins, and for many made when they are read."""
-    found = total_spins(sites, *couplings)
-    return KnownInvariants(found) if sites > MAX_RECORDED_SPINS else {name: make() for name, make in found.items()}
 
 
 # Algebras of lattices that exist.
