@@ -9,8 +9,8 @@ import numpy as np
 
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.invariants.sampled_checks import (
-    VALID,
     SEED,
+    VALID,
     check_casimir,
     evaluate,
     gradient_and_scale,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term, built_in
+from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.vanishing_products import without_cancelling
 
@@ -22,10 +22,11 @@ class SystemStack(NamedTuple):
     """Some of the `systems`: of one algebra, with the same Casimirs, and energies of one structure."""
 
     # `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
-    # term the linear part and the entries of M, of a polynomial those of its monomials, of a function its constants, and at the end that of the energy.
-    # The same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those
-    # of the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `forces`
-    # are those numbers in tables of forces that differ, the sources `rows`, and `owners` keep their functions alive.
+    # term the linear part and the entries of M, of a polynomial those of its monomials, of a function its constants,
+    # and at the end the constant of the energy. The same linear coefficients are zero, no products of the field cancel
+    # but those that do in all, and functions are equal or follow from constants of one pattern. `split` are those of
+    # the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `forces` are
+    # those numbers in tables of forces that differ, the sources `rows`, and `owners` keep their functions alive.
 
     systems: Sequence[Any]
     rows: Integers
@@ -54,7 +55,7 @@ class SystemStack(NamedTuple):
     def functions_differ(self) -> bool:
         """Whether functions among the terms have other constants in some systems."""
         counts, terms = counts_of(self.terms), self.terms
-        functions = np.repeat([isinstance(term, FunctionTerm) for term in terms], counts)
+        functions = np.repeat([term.called for term in terms], counts)
         return bool(np.any(different(self.coefficients[: len(functions)][functions])))
 
     def take(self, members: Integers) -> SystemStack:

@@ -252,10 +252,10 @@ def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients:
     higher: dict[tuple[int, ...], int] = {}  # monomials of more than two coordinates, behind all others of a row
     for term in collected:
         if isinstance(term, FunctionTerm):
-            size = 0 if term.constants is None else len(term.constants)
+            count = 0 if term.constants is None else len(term.constants)
             if _own_products(term, listed)[1]:
-                plain &= size > 0 and cancel_as_recorded(term, listed, coefficients[start : start + size])
-            start += size
+                plain &= count > 0 and cancel_as_recorded(term, listed, coefficients[start : start + count])
+            start += count
             continue
         if (form := term.form) is not None:
             owner, entry = expand(form.indptr[column], form.indptr[column + 1])

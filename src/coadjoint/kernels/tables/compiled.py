@@ -360,7 +360,10 @@ class FunctionRules(NamedTuple):
                     self.owners[first] = compiled_derivative(term, derivative, owner)
                 known, made = self.owners[first], function.of_constants.make(constants)
                 # A function of an array of constants, which has no other numbers, has the same machine code.
-                if callable(function.of_constants.key) and getattr(known, "constants", NONE).tobytes() == given.tobytes():
+                if (
+                    callable(function.of_constants.key)
+                    and getattr(known, "constants", NONE).tobytes() == given.tobytes()
+                ):
                     self.owners[key] = known.with_constants(made, constants)
                 else:
                     self.owners[key] = compiled_derivative(replace(term, **{derivative: made}), derivative, owner)

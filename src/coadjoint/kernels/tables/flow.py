@@ -99,7 +99,11 @@ def flow_tables(flow_table: FlowTable, h: float, compensated: bool, compact: boo
         *body_tables(flow_table),
         h,
     )
-    recorded, functions, energy = recorded_sources(flow_table, terms), flow_table.functions, flow_table.system.hamiltonian
+    recorded, functions, energy = (
+        recorded_sources(flow_table, terms),
+        flow_table.functions,
+        flow_table.system.hamiltonian,
+    )
 
     def sources() -> Sources:
         return with_functions(recorded().within("terms."), functions, "gradient", "the Hamiltonian", energy.terms())

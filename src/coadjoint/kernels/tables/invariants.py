@@ -27,16 +27,16 @@ def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = Fal
 def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[int]) -> Sources:
     """Return the sources of a watch whose invariants of these numbers are the energy."""
     found: dict[str, list[Multiples]] = {}
-    functions, computed = dict[int, FunctionTerm](), dict[str, Any]()
+    functions, computed, energy = dict[int, Any](), dict[str, Any](), CoefficientNumbers.of(terms)
     for first in watch.first[list(energies)].astype(np.int64).tolist():
         source = np.full(watch.terms.size, INDEPENDENT)
         source[first : first + len(terms)] = np.arange(len(terms))
         of_one = sources_of(watch.terms, source, watch.terms.target, terms).within("terms.")
         for name, one in of_one.multiples.items():
             found.setdefault(name, []).append(one)
-        functions |= {first + t: term for t, term in enumerate(terms) if isinstance(term, FunctionTerm)}
+        functions |= {first + t: terms[t] for t in energy.constants}
         computed |= of_one.computed
-    constant = np.full(len(energies), CoefficientNumbers.of(terms).size - 1)
+    constant = np.full(len(energies), energy.size - 1)
     found["constant"] = [Multiples(np.array(energies), constant, np.ones(len(energies)))]
     sources = Sources({name: concatenated(parts) for name, parts in found.items()}, computed=computed)
     return with_functions(sources, functions, "value", "the energy", terms)

@@ -210,13 +210,16 @@ class RecordedFunction:
 
 
 def _is_finite(value: Any) -> bool:
-    return bool(np.isfinite(value).all()) if isinstance(value, np.ndarray) else is_finite(value)
+    return bool(np.isfinite(value).all()) if _of_members(value) else is_finite(value)
 
 
 def _quotient(numerator: Any, denominator: Any) -> Any:
-    if isinstance(numerator, np.ndarray) or isinstance(denominator, np.ndarray):
-        return numerator / denominator
-    return quotient(numerator, denominator)
+    of_members = _of_members(numerator) or _of_members(denominator)
+    return numerator / denominator if of_members else quotient(numerator, denominator)
+
+
+def _of_members(value: Any) -> bool:
+    return bool(getattr(value, "ndim", 0))
 
 
 def separated(

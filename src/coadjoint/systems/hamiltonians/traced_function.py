@@ -132,8 +132,9 @@ class Graph:
 
     def _evaluated(self, index: int, fixed: Mapping[int, Any]) -> Any:
         values = [self.numbers[k] if k in self.numbers else fixed[k] for k in self.inputs[index]]
+        name = self.operations[index]
         with np.errstate(all="ignore"):
-            return EVALUATED.get(self.operations[index], getattr(np, self.operations[index], None))(*values)
+            return (EVALUATED.get(name) or getattr(np, name))(*values)
 
     def fixed_at(self, constants: NDArray[np.float64]) -> dict[int, Any]:
         """Return the values of the `fixed` entries at other constants (k,), or (k, members), with the same zeros."""
