@@ -92,6 +92,7 @@ def _load_schemes() -> dict[str, SplittingScheme]:
 
 
 SCHEMES = _load_schemes()
+PROPERTIES = Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
 # Smallest error at equal cost on a rigid body, among schemes without a processor. This depends on the state: on other
 # orbits blanes_moan4 halves the error of order 4.
@@ -322,7 +323,7 @@ class Splitting(FlowMethod):
                 "use GaussLegendre or ModifiedGaussLegendre"
             )
         check_parts(cast(Any, system), self.parts, type(self).__name__)
-        return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
+        return PROPERTIES
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of one step; of a processed scheme those of its kernel."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,11 +129,31 @@ class Sums(NamedTuple):
         return Sums(self.linear, coordinate, number, rules)
 
 
+class Rules(Protocol):
+    """Constants that follow from several sources `number` by the rule of each position."""
+
+    @property
+    def number(self) -> Integers:
+        """The sources of all rules."""
+
+    @property
+    def rules(self) -> Sequence[tuple[Integers, Any]]:
+        """The positions of the constants that each rule returns."""
+
+    def of(self, values: Floats) -> Sequence[Any]:
+        """Return the constants of each rule for values (m,) of the numbers."""
+
+    def among(self, sources: Integers, numbers: Integers) -> Rules:
+        """Return the rules with some of the sources, ascending, with other numbers; the rest are constant."""
+
+    def _replace(self, *, number: Integers) -> Rules: ...
+
+
 class Sources(NamedTuple):
     """Constants of tables by the paths of their fields; `computed` are the sources of other functions of them."""
 
     multiples: Mapping[str, Multiples] = {}
-    sums: Mapping[str, Sums] = {}
+    sums: Mapping[str, Rules] = {}
     computed: Mapping[str, Integers] = {}
 
     def within(self, path: str) -> Sources:
@@ -159,12 +179,14 @@ class CoefficientNumbers(NamedTuple):
     coordinate: Integers
     number: Integers
     value: Floats
+    constants: Mapping[int, Integers] = {}  # of the functions among the terms
 
     @classmethod
     def of(cls, terms: Sequence[Term]) -> CoefficientNumbers:
         starts = np.cumsum([0, *counts_of(terms)]).tolist()
         coordinates, numbers, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-        for start, term in zip(starts, terms, strict=False):
+        constants = dict[int, Integers]()
+        for t, (start, term) in enumerate(zip(starts, terms, strict=False)):
             if (form := term.form) is not None:
                 coordinates.append(np.arange(len(form.linear)))
                 numbers.append(start + coordinates[-1])
@@ -178,7 +200,9 @@ class CoefficientNumbers(NamedTuple):
                 coordinates.append(np.array([k for k, *_ in linear], dtype=np.int64))
                 numbers.append(np.array([number for _, number, _ in linear], dtype=np.int64))
                 values.append(np.array([value for *_, value in linear], dtype=np.float64))
-        return cls(starts, np.concatenate(coordinates), np.concatenate(numbers), np.concatenate(values))
+            elif starts[t + 1] > start:
+                constants[t] = np.arange(start, starts[t + 1])
+        return cls(starts, np.concatenate(coordinates), np.concatenate(numbers), np.concatenate(values), constants)
 
     @property
     def size(self) -> int:
@@ -186,7 +210,7 @@ class CoefficientNumbers(NamedTuple):
 
     @property
     def others(self) -> Integers:
-        return np.setdiff1d(np.arange(self.starts[-1]), self.number)
+        return np.setdiff1d(np.arange(self.starts[-1]), np.concatenate([self.number, *self.constants.values()]))
 
     def of_coordinates(self, chosen: Integers) -> Integers:
         return self.number[np.isin(self.coordinate, chosen)]
@@ -225,7 +249,9 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
             weight.append(_of_monomials(number, ((e, (min(i, j), max(i, j)), 1.0 + (i == j)) for e, i, j in pairs)))
             coefficient.append(_of_monomials(number, ((m, key, 1.0) for m, key in monomials_in(table, source == t))))
     fields = {"offset": offset, "weight": weight, "coefficient": coefficient}
-    return Sources({name: concatenated(found) for name, found in fields.items()})
+    functions = energy.constants.values()  # which tables that have rules for them drop
+    computed = {"kind": np.concatenate(list(functions))} if functions else {}
+    return Sources({name: concatenated(found) for name, found in fields.items()}, computed=computed)
 
 
 def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sources:
@@ -269,7 +295,8 @@ def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sourc
         "offset": energy.of_coordinates(of_rest.astype(np.int64)),
         "weight": np.concatenate([energy.others, energy.of_coordinates(np.array(bodies, dtype=np.int64))]),
     }
-    return Sources(multiples, {"offset": Sums(linear, energy.coordinate, energy.number, rules)}, others)
+    sums = {"offset": Sums(linear, energy.coordinate, energy.number, rules)}
+    return Sources(multiples, sums, {**found.computed, **others})
 
 
 def _value(rule: ExactSums | ReductionSteps, linear: Floats) -> list[float] | None:

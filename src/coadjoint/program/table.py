@@ -161,7 +161,10 @@ def term_table(parts: Parts) -> TermTable:
 def recorded_sources(flow_table: FlowTable, terms: Terms) -> Callable[[], Sources]:
     """Return a function, without the flow table, for its sources with these terms, by the paths of `Terms`."""
     fixed = flow_table.system, flow_table.parts, flow_table.choice.shift
-    plain = not len(flow_table.omitted) and not np.any(flow_table.frequency)
+    parts = flow_table.parts
+    shares = np.searchsorted(parts.row, flow_table.omitted[:, 0], side="right") - 1
+    of_functions = all(s in parts.gradients and parts.gradients[s].term for s in shares.tolist())
+    plain = of_functions and not np.any(flow_table.frequency)
 
     def sources() -> Sources:
         system, parts, shift = fixed
@@ -175,7 +178,10 @@ def recorded_sources(flow_table: FlowTable, terms: Terms) -> Callable[[], Source
             numbers[first : first + unchanged] = start + np.arange(unchanged)
             numbers[first + unchanged : last] = -1 - np.arange(first + unchanged, last)
         found = sources_of_parts(terms, parts, shifted).renumbered(numbers)
-        return found if plain else found._replace(computed={**found.computed, "kind": energy.others})
+        if plain:
+            return found
+        kind = np.concatenate([energy.others, found.computed.get("kind", energy.others[:0])])
+        return found._replace(computed={**found.computed, "kind": kind})
 
     return sources
 

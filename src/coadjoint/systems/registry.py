@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.invariants.sampled_checks import VALID
 from coadjoint.errors import check_name_is_free
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
@@ -116,9 +117,15 @@ def ready_made(
         raise TypeError(f"energy is {short(energy)}; give a function of the parameters")
 
     def register(builder: Builder) -> Builder:
+        of_library = builder.__module__.startswith("coadjoint.systems.")
+
         @wraps(builder)
         def hamiltonian(*args: Any, **keywords: Any) -> Any:
-            system = builder(*args, **keywords)
+            valid = VALID.set(of_library)
+            try:
+                system = builder(*args, **keywords)
+            finally:
+                VALID.reset(valid)
             if system.forces:
                 raise TypeError(
                     f"{builder.__name__} has forces, and its parameters would not make it again; return the "

@@ -10,6 +10,7 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.invariants.sampled_checks import (
     SEED,
+    VALID,
     check_casimir,
     evaluate,
     gradient_and_scale,
@@ -121,7 +122,7 @@ def read_casimirs(casimirs: Mapping[str, Any], system: Any) -> dict[str, Any]:
     if isinstance(casimirs, KnownInvariants):
         return dict(casimirs)
     result = read_invariants(casimirs, system, "Casimir")
-    for name, casimir in result.items():
+    for name, casimir in () if VALID.get() else result.items():
         check_casimir(name, casimir, system.dim, system._product, system._absolute_product)
     return result
 
@@ -173,7 +174,7 @@ def read_integrals(integrals: Any, system: Any) -> Mapping[str, Any]:
     if isinstance(integrals, KnownInvariants):
         return integrals
     result, H = read_invariants(integrals, system, "integral"), system.hamiltonian
-    for x in sample_points(system.dim) if result else []:
+    for x in sample_points(system.dim) if result and not VALID.get() else []:
         for t in TIMES if H.timed else TIMES[:1]:
             force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
             if force is None or not np.all(np.isfinite(force)):

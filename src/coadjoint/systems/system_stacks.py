@@ -22,10 +22,11 @@ class SystemStack(NamedTuple):
     """Some of the `systems`: of one algebra, with the same Casimirs, and energies of one structure."""
 
     # `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
-    # term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant.
-    # The same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those
-    # of the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `forces`
-    # are those numbers in tables of forces that differ, the sources `rows`, and `owners` keep their functions alive.
+    # term the linear part and the entries of M, of a polynomial those of its monomials, of a function its constants,
+    # and at the end the constant of the energy. The same linear coefficients are zero, no products of the field cancel
+    # but those that do in all, and functions are equal or follow from constants of one pattern. `split` are those of
+    # the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `forces` are
+    # those numbers in tables of forces that differ, the sources `rows`, and `owners` keep their functions alive.
 
     systems: Sequence[Any]
     rows: Integers
@@ -49,6 +50,13 @@ class SystemStack(NamedTuple):
         """The terms of the energy of the first system."""
         terms: tuple[Term, ...] = self.first.hamiltonian.terms()
         return terms
+
+    @property
+    def functions_differ(self) -> bool:
+        """Whether functions among the terms have other constants in some systems."""
+        counts, terms = counts_of(self.terms), self.terms
+        functions = np.repeat([term.called for term in terms], counts)
+        return bool(np.any(different(self.coefficients[: len(functions)][functions])))
 
     def take(self, members: Integers) -> SystemStack:
         columns: Any = self[2:]

@@ -6,7 +6,8 @@ import inspect
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -105,6 +106,35 @@ def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
     return lambda share: (int(share), shares) if share >= 0.0 else (0, 1)
 
 
+class OfConstants(NamedTuple):
+    """How a function of y follows from constants (k,): `make` returns that of other ones, `key` is what they share."""
+
+    make: Callable[[npt.NDArray[np.float64]], Any]
+    constants: npt.NDArray[np.float64]
+    key: Any
+
+    @property
+    def pattern(self) -> bytes:
+        """Which constants vanish, and which are equal: of each, -1 or the first that it is equal to."""
+        _, first, inverse = np.unique(self.constants, return_index=True, return_inverse=True)
+        return np.where(self.constants == 0.0, -1, first[inverse]).astype(np.int64).tobytes()
+
+
+def at_constants(function: Callable[..., Any], constants: npt.NDArray[np.float64]) -> Callable[..., Any]:
+    """Return a function of (y, constants) as one of y, for which `of_constants` finds both."""
+
+    def of_y(y: Any) -> Any:
+        return function(y, constants)
+
+    of_y.of_constants = OfConstants(partial(at_constants, function), constants, function)  # type: ignore[attr-defined]
+    return of_y
+
+
+def of_constants(function: Any) -> OfConstants | None:
+    """Return how a function follows from constants, if it is known."""
+    return getattr(function, "of_constants", None)
+
+
 def forms_of(function: Any) -> Forms | None:
     """Return the tables of a function that has them, which the kernels evaluate without compiling it, or None."""
     return getattr(function, "kernel_forms", None)
@@ -130,10 +160,19 @@ def kind_of_name(name: str) -> str | None:
 
 def parameters_of_function(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """Return the parameters of a function; none of a built-in one without a signature."""
+    function = getattr(function, "py_func", function)
+    # Systems of an ensemble have partial functions of the same one.
+    if type(function) is partial and type(function.func) is types.FunctionType and not function.keywords:
+        return list(_parameters_of_code(function.func))[len(function.args) :]
     try:
-        return list(inspect.signature(getattr(function, "py_func", function)).parameters.values())
+        return list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
         return []
+
+
+@lru_cache(maxsize=64)
+def _parameters_of_code(function: types.FunctionType) -> tuple[inspect.Parameter, ...]:
+    return tuple(inspect.signature(function).parameters.values())
 
 
 def check_places(function: Callable[..., Any], name: str, arguments: str) -> None:

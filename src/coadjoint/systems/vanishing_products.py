@@ -18,9 +18,14 @@ from coadjoint.algebra.exact.sparse_sums import connected, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.separated_function import recorded_function
+from coadjoint.systems.hamiltonians.separated_function import (
+    RecordedFunction,
+    recorded_for_constants,
+    recorded_function,
+)
 from coadjoint.systems.hamiltonians.terms import BuiltIn, FunctionTerm, PolynomialTerm, QuadraticTerm, Term, built_in
 from coadjoint.systems.hamiltonians.traced_function import TracingError
+from coadjoint.systems.user_functions import of_constants
 
 Integers = NDArray[np.int64]
 
@@ -116,28 +121,83 @@ def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int]) -> dict[i
     return found
 
 
+def _own_products(term: FunctionTerm, products: Mapping[int, Product]) -> tuple[dict[int, int], dict[int, Product]]:
+    """Return the places of the coordinates of a function, and the products of these."""
+    index = {int(k): a for a, k in enumerate(term.coordinates)}
+    return index, {q: each for q, each in products.items() if each.state in index and each.column in index}
+
+
+def cancel_as_recorded(term: FunctionTerm, products: Mapping[int, Product], constants: NDArray[Any]) -> Any:
+    """Return for which constants (k, members) of a function certainly the same products cancel as for most others."""
+    index, own = _own_products(term, products)
+    given: Any = of_constants(term.value)
+    recorded = recorded_for_constants(given.key, len(index), given.pattern)
+    none = np.zeros(constants.shape[1], dtype=bool)
+    if recorded is None or recorded.constants is None or _divided(term, recorded, index, own)[1] == (frozenset(),):
+        return ~none
+    with np.errstate(all="ignore"):
+        polynomials = recorded.coefficients_at(np.concatenate([recorded.constants[:, None], constants], axis=1))
+        certain = ~none
+        for polynomial in polynomials or ():
+            totals: dict[tuple[int, ...], tuple[Any, Any]] = {}
+            for key, coefficient in polynomial.items():
+                for row, state, column, constant in own.values():
+                    if power := key.count(index[column]):
+                        rest = list(key)
+                        rest.remove(index[column])
+                        monomial = (row, *sorted((*rest, index[state])))
+                        value = power * float(constant) * coefficient
+                        total, size = totals.get(monomial, (0.0, 0.0))
+                        totals[monomial] = total + value, size + np.abs(value)
+            for total, size in totals.values():
+                remains = np.broadcast_to(np.abs(total) > CERTAIN * size, len(none) + 1)
+                certain = certain & (remains[1:] | ~remains[0])
+    return none if polynomials is None else certain
+
+
 def divided_gradient(
     term: FunctionTerm, products: Mapping[int, Product]
 ) -> tuple[FunctionTerm, tuple[frozenset[int], ...]]:
     """Separate a function where products of a part of its gradient vanish, as those of a central force do."""
     # It is returned with its gradient as several vectors that add up to it, and the products that each one omits.
     # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
-    index = {int(k): a for a, k in enumerate(term.coordinates)}
-    own = {q: each for q, each in products.items() if each.state in index and each.column in index}
-    arguments = recorded_function(term.value, len(index), term.timed) if own and not term.scalar else None
-    if arguments is None:
+    index, own = _own_products(term, products)
+    if not own or term.scalar:
         return term, (frozenset(),)
-    by_rows: dict[frozenset[int], list[int]] = {}
-    for number, polynomial in enumerate(arguments.polynomials):
-        derivatives = derivatives_of(polynomial, term.coordinates.tolist())
-        listed = [(row, state, derivatives.get(index[column], []), c) for row, state, column, c in own.values()]
-        # A row is omitted as a whole.
-        remaining = {each[0] for each, number in zip(listed, cancelling(listed), strict=True) if each[2] and number < 0}
-        omitted = frozenset(q for q, each in own.items() if each[0] not in remaining)
-        by_rows.setdefault(omitted, []).append(number)
+    arguments, given = None, of_constants(term.value)
+    if given is None:
+        arguments = recorded_function(term.value, len(index), term.timed)
+    elif (arguments := recorded_for_constants(given.key, len(index), given.pattern)) is not None:
+        divided = _divided(term, arguments, index, own)
+        if len(divided[1]) == 1 and not divided[1][0]:
+            return divided
+        if cancel_as_recorded(term, own, given.constants[:, None]).all():
+            return divided
+        arguments = recorded_function(term.value, len(index), term.timed)
+    return (term, (frozenset(),)) if arguments is None else _divided(term, arguments, index, own)
+
+
+def _divided(
+    term: FunctionTerm, recorded: RecordedFunction, index: Mapping[int, int], own: Mapping[int, Product]
+) -> tuple[FunctionTerm, tuple[frozenset[int], ...]]:
+    """Return `divided_gradient` of a recorded function with products of its coordinates."""
+    key = tuple(own.items()), term.coordinates.tobytes()
+    if key not in recorded.omissions:
+        by_rows: dict[frozenset[int], list[int]] = {}
+        for number, polynomial in enumerate(recorded.polynomials):
+            derivatives = derivatives_of(polynomial, term.coordinates.tolist())
+            listed = [(row, state, derivatives.get(index[column], []), c) for row, state, column, c in own.values()]
+            # A row is omitted as a whole.
+            remaining = {
+                each[0] for each, number in zip(listed, cancelling(listed), strict=True) if each[2] and number < 0
+            }
+            omitted = frozenset(q for q, each in own.items() if each[0] not in remaining)
+            by_rows.setdefault(omitted, []).append(number)
+        recorded.omissions[key] = by_rows
+    by_rows = recorded.omissions[key]
     if len(by_rows) > 1:
         try:
-            term = arguments.divided(term, list(by_rows.values()))
+            term = recorded.divided(term, list(by_rows.values()))
         except TracingError:
             return term, (frozenset(),)
     return term, tuple(by_rows)
@@ -177,31 +237,57 @@ _FIELD_PRODUCTS: WeakKeyDictionary[Any, FieldProducts | None] = WeakKeyDictionar
 
 
 def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients: NDArray[np.float64]) -> Any:
-    """Return for which coefficients (count, k) of terms, as in a `SystemStack`, certainly no products cancel, (k,)."""
+    """Return for which coefficients (count, k) of terms, as in a `SystemStack`, certainly no products cancel, (k,).
+
+    Of a function of constants the same ones cancel as for most others.
+    """
     collected, products, chosen = _candidates(algebra, terms)
     if not len(chosen):
         return np.ones(coefficients.shape[1], dtype=bool)
-    forms = [term.form for term in collected if term.form is not None]
-    if len(forms) < len(collected):
-        return np.zeros(coefficients.shape[1], dtype=bool)
+    plain, listed = np.ones(coefficients.shape[1], dtype=bool), {q: products.at(q) for q in chosen.tolist()}
     n, start = algebra.dim + 1, 0
     row, state, column, constant = (values[chosen] for values in products)
     empty = np.zeros(0, dtype=np.int64)
     codes, numbers, factors = [empty], [empty], [np.zeros(0)]
-    for term in forms:
-        owner, entry = expand(term.indptr[column], term.indptr[column + 1])
-        pair = np.sort([state[owner], term.indices[entry].astype(np.int64)], axis=0) + 1
-        linear = np.flatnonzero(term.linear[column] != 0)
-        codes += [(row[owner] * n + pair[0]) * n + pair[1], row[linear] * n**2 + state[linear] + 1]
-        numbers += [start + len(term.linear) + entry, start + column[linear]]
-        factors += [np.asarray(constant[where], dtype=np.float64) for where in (owner, linear)]
-        start += len(term.linear) + len(term.values)
+    higher: dict[tuple[int, ...], int] = {}  # monomials of more than two coordinates, behind all others of a row
+    for term in collected:
+        if isinstance(term, FunctionTerm):
+            count = 0 if term.constants is None else len(term.constants)
+            if _own_products(term, listed)[1]:
+                plain &= count > 0 and cancel_as_recorded(term, listed, coefficients[start : start + count])
+            start += count
+            continue
+        if (form := term.form) is not None:
+            owner, entry = expand(form.indptr[column], form.indptr[column + 1])
+            pair = np.sort([state[owner], form.indices[entry].astype(np.int64)], axis=0) + 1
+            linear = np.flatnonzero(form.linear[column] != 0)
+            codes += [(row[owner] * n + pair[0]) * n + pair[1], row[linear] * n**2 + state[linear] + 1]
+            numbers += [start + len(form.linear) + entry, start + column[linear]]
+            factors += [np.asarray(constant[where], dtype=np.float64) for where in (owner, linear)]
+            start += len(form.linear) + len(form.values)
+            continue
+        exponents = np.array(list(term.to_polynomial().monomials), dtype=np.int64).reshape(-1, algebra.dim)
+        product, monomial = np.nonzero(exponents[:, column].T)
+        keys = []
+        for q, k in zip(product.tolist(), monomial.tolist(), strict=True):
+            powers = exponents[k].copy()
+            powers[column[q]] -= 1
+            powers[state[q]] += 1
+            key = (0, *(np.repeat(np.arange(algebra.dim), powers) + 1).tolist())
+            if len(key) <= 3:
+                keys.append((int(row[q]) * n + key[-2]) * n + key[-1])
+            else:
+                keys.append(n**3 + higher.setdefault((int(row[q]), *key), len(higher)))
+        codes.append(np.array(keys, dtype=np.int64))
+        numbers.append(start + monomial)
+        factors.append(np.asarray(constant[product], dtype=np.float64) * exponents[monomial, column[product]])
+        start += len(exponents)
     _, monomial = np.unique(np.concatenate(codes), return_inverse=True)
     values = np.concatenate(factors)[:, None] * coefficients[np.concatenate(numbers)]
     total, size = (np.zeros((int(monomial.max(initial=-1)) + 1, coefficients.shape[1])) for _ in range(2))
     np.add.at(total, monomial, values)
     np.add.at(size, monomial, np.abs(values))
-    return np.all(np.abs(total) > CERTAIN * size, axis=0)
+    return plain & np.all(np.abs(total) > CERTAIN * size, axis=0)
 
 
 def _candidates(algebra: LieAlgebra, terms: Sequence[Term]) -> tuple[list[BuiltIn], Products, Integers]:

@@ -8,6 +8,7 @@ import pytest
 import coadjoint as co
 
 STEP, SPAN = 1.0 / 64.0, (0.0, 0.5)
+PAIRS = (3, 4), (3, 5), (4, 5)
 METHODS = {
     "auto": co.Splitting(order=4),
     "gauss": co.GaussLegendre(2),
@@ -58,6 +59,42 @@ def test_products_cancel_in_some_members_only():
 def bodies(count, seed=1):
     rng = np.random.default_rng(seed)
     return [co.systems.rigid_body(np.sort(rng.uniform(1.0, 1.9, 3))) for _ in range(count)]
+
+
+def test_products_of_quartic_energies_cancel_in_some_members_only():
+    """Of a function of the length of an axis alone, r cross its gradient vanishes; not with other coefficients."""
+    rng, systems = np.random.default_rng(1), []
+    for equal in [0, 1, 0, 0, 1, 0, 0]:
+        fourth, mixed = rng.uniform(0.5, 1.5, (2, 3))
+        if equal:
+            fourth[:] = mixed[:] = fourth[0]
+        energy = {tuple(2 * int(i == k) for i in range(6)): 0.5 + 0.25 * k for k in range(3)}
+        energy |= {tuple(4 * int(i == 3 + k) for i in range(6)): float(fourth[k]) for k in range(3)}
+        energy |= {
+            tuple(2 * int(i in pair) for i in range(6)): 2.0 * c for pair, c in zip(PAIRS, mixed.tolist(), strict=True)
+        }
+        systems.append(co.LiePoissonSystem(co.systems.heavy_top().algebra, co.Polynomial(energy)))
+    # Rounding of the products, of the fourth power of the axis, reaches the digits of the momenta.
+    states = np.random.default_rng(2).standard_normal((len(systems), 6)) * ([0.01] * 3 + [2.0] * 3)
+    for method in ("auto", "gauss"):
+        assert_as_alone(systems, METHODS[method], states)
+
+
+@pytest.mark.parametrize("parameter", ["weights", "external", "pair"])
+def test_polynomials_share_a_table(parameter, tables_built):
+    """Of degree four, in coordinates that commute; a weight, and the coefficient of a power, of each member."""
+    given = {"weights": (1.0, 2.0), "external": (0.0, 0.0, 0.5, 0.1), "pair": (0.0, 0.0, -0.5, 0.0, 0.25)}
+    systems = []
+    for scale in np.linspace(0.5, 1.5, 9):
+        moved = [*given[parameter][:-1], scale * given[parameter][-1]]
+        systems.append(co.systems.decorated_particles(**{**given, parameter: moved}))
+    states = 0.5 + 0.1 * np.random.default_rng(4).standard_normal((len(systems), systems[0].dim))
+    states[:, 4] = 1.0
+    for name in ("auto", "gauss"):
+        tables_built.clear()
+        whole = co.prepare(co.batch(systems), METHODS[name], STEP).run(states, SPAN, save_every=4)
+        assert len(tables_built) <= 2
+        assert_as_alone(systems, METHODS[name], states, whole, members=(0, 4, 8))
 
 
 def test_choices_that_rounding_decides_are_those_of_each_member():

@@ -167,6 +167,19 @@ def test_derivatives(name):
     np.testing.assert_allclose(H.hessian(x) @ d, slope_of(H.gradient, x, d), rtol=0, atol=1e-10 * n * size)
 
 
+@pytest.mark.parametrize("name", [name for name, s in EVERY.items() if isinstance(s, co.LiePoissonSystem)])
+def test_invariants_are_accepted_from_a_user(name):
+    """Those of a ready-made system are not checked when it is made, and those of a user are, at sample points."""
+    system = EVERY[name]
+    given = {"casimirs": system.casimirs, "integrals": system.integrals}
+    again = co.LiePoissonSystem(system.algebra, system.hamiltonian, system.sign, **given)
+    assert [*again.casimirs] == [*system.casimirs] and [*again.integrals] == [*system.integrals]
+    false = {"false": co.Polynomial.variable(0, system.dim) + co.Polynomial.variable(1, system.dim) ** 3}
+    if len(system.algebra.triples.c) and np.abs(system.structure_matrix(start_of(system))[:2]).any():
+        with refused(ValueError, "false", "Casimir"):
+            co.LiePoissonSystem(system.algebra, system.hamiltonian, system.sign, casimirs=false)
+
+
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", [name for name, s in EVERY.items() if s.dim <= 64 and not s.has_matrices])
 def test_casimirs_of_every_system_are_accepted_as_functions(name):

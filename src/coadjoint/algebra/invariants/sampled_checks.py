@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
+VALID = ContextVar("invariants that are valid by construction", default=False)
+"""Whether this library makes a system, of which tests check the invariants in place of each construction."""
 DIRECTIONS = 2  # along which a function is differenced at a sample point; one finds almost every error
 
 

@@ -39,7 +39,7 @@ class CodeAndConstants:
     """The addresses of machine code and of its constants, as the kernels read them, with what is there."""
 
     def __init__(self, code: Any, constants: Any) -> None:
-        self.addresses, self._held = (ctypes.c_int64 * 2)(code.address, constants.ctypes.data), (code, constants)
+        self.addresses, self.held = (ctypes.c_int64 * 2)(code.address, constants.ctypes.data), (code, constants)
 
 
 _RECORDS: WeakValueDictionary[tuple[int, bytes], CodeAndConstants] = WeakValueDictionary()
@@ -53,6 +53,21 @@ class CompiledFunction(KernelFunction):
         self._both = _RECORDS.get(key) or CodeAndConstants(code, constants)
         _RECORDS[key] = self._both
         super().__init__(-ctypes.addressof(self._both.addresses) - 2, self._both, remade)
+
+    @property
+    def constants(self) -> Any:
+        return self._both.held[1]
+
+    def with_constants(self, function: Any, constants: Any) -> CompiledFunction:
+        """Return the machine code with other constants, by which it is another function."""
+        remade = self.remade
+
+        def again() -> tuple[Any, ...]:
+            assert remade is not None
+            call, (_, *others) = remade()
+            return call, (picklable_function(function), *others)
+
+        return CompiledFunction(self._both.held[0], constants, remade and again)
 
     def values(self, y: Any, t: float, results: int) -> Any:
         """Return so many values at numbers y and a time."""

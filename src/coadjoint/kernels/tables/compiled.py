@@ -8,7 +8,7 @@ import ctypes
 import functools
 import struct
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.sparse_sums import Floats, Integers
 from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.kernels.functions.compiled_functions import KernelFunction, compiled_function, python_callback
 from coadjoint.kernels.interface import check_fields, kernel_interface, limit
-from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
+from coadjoint.program.sources import CoefficientNumbers
+from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python, of_constants
 
 if TYPE_CHECKING:
     from coadjoint.program.sources import Sources
@@ -310,6 +312,82 @@ def compiled_derivative(term: FunctionTerm, derivative: str, owner: str) -> Kern
         what=f"the {derivative} of {owner}",
     )
     return share_table(compiled, function.shares, results) if shared else compiled
+
+
+NONE = np.zeros(0)
+
+
+class FunctionRules(NamedTuple):
+    """Addresses of functions that follow from constants, which are compiled once for all."""
+
+    # Each rule: its position, the term and which of its functions, its constants, and where these are in `number`.
+    # Functions live in `owners`, by position and constants; `kept` numbers are none of the sources.
+
+    rules: Sequence[tuple[Integers, tuple[FunctionTerm, str, str, Floats, slice]]]
+    number: Integers
+    kept: NDArray[np.bool_]
+    owners: dict[tuple[int, bytes], Any]
+
+    @classmethod
+    def of_functions(
+        cls, functions: Mapping[int, FunctionTerm], derivative: str, owner: str, terms: Sequence[Any]
+    ) -> FunctionRules:
+        """Return the rules of those functions of a table that are functions of the constants of terms of an energy."""
+        constants = CoefficientNumbers.of(terms).constants
+        rules, numbers, start = [], [np.zeros(0, dtype=np.int64)], 0
+        for k, term in functions.items():
+            found = of_constants(getattr(term, derivative))
+            number = next((n for t, n in constants.items() if found and terms[t].constants is found.constants), None)
+            if found is not None and number is not None:
+                own = slice(start, start + len(number))
+                rules.append((np.array([k]), (term, derivative, owner, found.constants, own)))
+                numbers.append(number)
+                start = own.stop
+        number = np.concatenate(numbers)
+        return cls(rules, number, np.zeros(len(number), dtype=bool), {})
+
+    def of(self, values: Floats) -> list[NDArray[np.float64]]:
+        """Return the addresses in the bits of floats."""
+        found = []
+        for position, (term, derivative, owner, given, own) in self.rules:
+            constants, chosen = given.copy(), ~self.kept[own]
+            constants[chosen] = values[self.number[own][chosen]]
+            key = int(position[0]), constants.tobytes()
+            if key not in self.owners:
+                function = getattr(term, derivative)
+                first = key[0], b""
+                if first not in self.owners:
+                    self.owners[first] = compiled_derivative(term, derivative, owner)
+                known, made = self.owners[first], function.of_constants.make(constants)
+                # A function of an array of constants, which has no other numbers, has the same machine code.
+                if (
+                    callable(function.of_constants.key)
+                    and getattr(known, "constants", NONE).tobytes() == given.tobytes()
+                ):
+                    self.owners[key] = known.with_constants(made, constants)
+                else:
+                    self.owners[key] = compiled_derivative(replace(term, **{derivative: made}), derivative, owner)
+            found.append(np.array([self.owners[key].address]).view(np.float64))
+        return found
+
+    def among(self, sources: Integers, numbers: Integers) -> FunctionRules:
+        chosen = np.isin(self.number, sources)
+        renumbered = np.zeros(len(chosen), dtype=np.int64)
+        renumbered[chosen] = numbers[np.searchsorted(sources, self.number[chosen])]
+        rules = [one for one in self.rules if chosen[one[1][-1]].any()]
+        return FunctionRules(rules, renumbered, ~chosen, self.owners)
+
+
+def with_functions(
+    sources: Sources, functions: Mapping[int, FunctionTerm], derivative: str, owner: str, terms: Sequence[Any]
+) -> Sources:
+    """Return the sources of a table with the rules of its functions, which have `addresses` beside their `terms`."""
+    rules = FunctionRules.of_functions(functions, derivative, owner, terms)
+    if not len(rules.number):
+        return sources
+    computed = dict(sources.computed)
+    computed["terms.kind"] = np.setdiff1d(computed["terms.kind"], rules.number)
+    return sources._replace(sums={**sources.sums, "addresses": rules}, computed=computed)
 
 
 def addresses_by_coefficients(functions: Sequence[FunctionDerivative], count: int) -> tuple[NDArray[np.int64], Owners]:

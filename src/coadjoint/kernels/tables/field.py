@@ -119,7 +119,7 @@ def sources_of_field(system: System, field: Field) -> Sources:
     found = sources_of(field.terms, np.arange(len(terms)), field.terms.target, terms).within("terms.")
     # Numbers decide which products cancel.
     computed = {"separated": CoefficientNumbers.of(terms).others} if field.separated else {}
-    return found._replace(computed=computed).within("field.")
+    return found.and_of(Sources(computed=computed)).within("field.")
 
 
 def terms_of_field(system: System) -> TermTable:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of, as_structure
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of, as_structure, with_functions
 from coadjoint.program.actions import Action, acts_rationally, empty_action
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.part import BodyShare
+from coadjoint.program.sources import Sources
 from coadjoint.program.table import FlowTable, recorded_sources
 from coadjoint.program.term_table import LINEAR, Terms
 
@@ -98,8 +99,16 @@ def flow_tables(flow_table: FlowTable, h: float, compensated: bool, compact: boo
         *body_tables(flow_table),
         h,
     )
-    recorded = recorded_sources(flow_table, terms)
-    return CompiledTables(with_properties(tables), keepalive, lambda: recorded().within("terms."))
+    recorded, functions, energy = (
+        recorded_sources(flow_table, terms),
+        flow_table.functions,
+        flow_table.system.hamiltonian,
+    )
+
+    def sources() -> Sources:
+        return with_functions(recorded().within("terms."), functions, "gradient", "the Hamiltonian", energy.terms())
+
+    return CompiledTables(with_properties(tables), keepalive, sources)
 
 
 def with_properties(tables: FlowTables) -> FlowTables:

@@ -436,7 +436,8 @@ def _sources_of_force(system: Any, flow: int, force: Force, table: ForceTable) -
         return Sources(multiples)
     energy = CoefficientNumbers.of(system.unforced.hamiltonian.terms())
     contained = np.array(linear_coefficients_in(force, system.unforced), dtype=np.int64)
-    return Sources(multiples, computed={"function": energy.of_coordinates(contained)})
+    numbers = np.concatenate([energy.of_coordinates(contained), *energy.constants.values()])
+    return Sources(multiples, computed={"function": numbers})
 
 
 def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:

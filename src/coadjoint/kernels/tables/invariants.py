@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of, with_functions
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Multiples, Sources, concatenated, sources_of
 from coadjoint.program.term_table import TermTable
@@ -27,14 +27,19 @@ def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = Fal
 def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[int]) -> Sources:
     """Return the sources of a watch whose invariants of these numbers are the energy."""
     found: dict[str, list[Multiples]] = {}
+    functions, computed, energy = dict[int, Any](), dict[str, Any](), CoefficientNumbers.of(terms)
     for first in watch.first[list(energies)].astype(np.int64).tolist():
         source = np.full(watch.terms.size, INDEPENDENT)
         source[first : first + len(terms)] = np.arange(len(terms))
-        for name, one in sources_of(watch.terms, source, watch.terms.target, terms).multiples.items():
-            found.setdefault(f"terms.{name}", []).append(one)
-    constant = np.full(len(energies), CoefficientNumbers.of(terms).size - 1)
+        of_one = sources_of(watch.terms, source, watch.terms.target, terms).within("terms.")
+        for name, one in of_one.multiples.items():
+            found.setdefault(name, []).append(one)
+        functions |= {first + t: terms[t] for t in energy.constants}
+        computed |= of_one.computed
+    constant = np.full(len(energies), energy.size - 1)
     found["constant"] = [Multiples(np.array(energies), constant, np.ones(len(energies)))]
-    return Sources({name: concatenated(parts) for name, parts in found.items()})
+    sources = Sources({name: concatenated(parts) for name, parts in found.items()}, computed=computed)
+    return with_functions(sources, functions, "value", "the energy", terms)
 
 
 def balance_tables(

@@ -26,7 +26,7 @@ from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
-    from coadjoint.program.sources import Multiples, Sources, Sums
+    from coadjoint.program.sources import Multiples, Rules, Sources
 
 Floats = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class WritableTables:
         given = np.array([indices[source] for source in wanted.tolist()], dtype=np.int64)
         others = np.array(tangled, dtype=np.int64)
         self._multiples: list[tuple[int, str, Multiples]] = []
-        self._sums: list[tuple[int, str, Sums]] = []
+        self._sums: list[tuple[int, str, Any]] = []  # with `Rules`
         for number, table in enumerate(tables):
             for path, computed in table.sources.computed.items():
                 if np.any(np.isin(computed, np.concatenate([wanted, others]))):
@@ -165,7 +165,7 @@ class WritableTables:
         )
         return block, self._written(block)
 
-    def _written(self, block: _Block) -> tuple[list[Multiples], list[tuple[Sums, list[Integers]]]]:
+    def _written(self, block: _Block) -> tuple[list[Multiples], list[tuple[Rules, list[Integers]]]]:
         """Return the multiples of given numbers with their rows in a block, and exact sums with those of each rule."""
         from coadjoint.program.sources import concatenated
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations, permutations, product
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -68,10 +68,9 @@ def joint_sizes(
         return np.full((len(orders), members), np.inf), np.full((len(orders), members), np.inf)
     weights = np.array([order_weights(order) for order in orders]).reshape(len(orders), -1)
     with np.errstate(over="ignore", invalid="ignore"):
-        terms, bounds = (_brackets(algebra, atoms, len(parts), points, absolute) for absolute in (False, True))
         sizes, errors = (
             np.sqrt(np.mean((w @ one.reshape(w.shape[1], -1)).reshape(len(orders), members, -1) ** 2, axis=-1))
-            for w, one in ((weights, terms), (np.abs(weights), bounds))
+            for w, one in zip((weights, np.abs(weights)), _brackets(algebra, atoms, len(parts), points), strict=True)
         )
     failed = ~np.isfinite(sizes + errors)
     sizes[failed] = errors[failed] = np.inf
@@ -100,20 +99,23 @@ def _atoms(
     ]
 
 
-def _brackets(algebra: LieAlgebra, atoms: list[Any], count: int, points: Floats, absolute: bool) -> Floats:
-    """Return {H_i, {H_j, H_k}} of the parts, (parts, pairs, members, points), or sums of absolute terms."""
+def _brackets(algebra: LieAlgebra, atoms: list[Any], count: int, points: Floats) -> Iterator[Floats]:
+    """Yield {H_i, {H_j, H_k}} of the parts, (parts, pairs, members, points), and then sums of absolute terms."""
     owner = np.array([p for p, *_ in atoms])
     weight, gradient, hessian = (np.stack([atom[k] for atom in atoms]) for k in (1, 2, 3))
-    if absolute:
-        weight = np.abs(weight)
-    of_atoms = _nested(algebra, gradient, hessian, points, absolute)
-    own, pairs = [np.flatnonzero(owner == p) for p in range(count)], list(combinations(range(count), 2))
-    result = np.zeros((count, len(pairs), weight.shape[1], len(points)))
-    for i, (number, (j, k)) in product(range(count), enumerate(pairs)):
-        products = weight[own[i]][:, None, None] * weight[own[j]][:, None] * weight[own[k]]
-        values = of_atoms[np.ix_(own[i], own[j], own[k])]
-        result[i, number] = products.reshape(-1, weight.shape[1]).T @ values.reshape(-1, len(points))
-    return result
+    a, b, c = np.indices((len(atoms),) * 3).reshape(3, -1)
+    # Triples of atoms by their parts i and j < k.
+    numbers = np.full((count, count), -1)
+    numbers[np.triu_indices(count, 1)] = np.arange(count * (count - 1) // 2)
+    group = np.where((number := numbers[owner[b], owner[c]]) < 0, -1, owner[a] * (numbers.max() + 1) + number)
+    order = np.argsort(group, kind="stable")[np.count_nonzero(group < 0) :]
+    first = np.searchsorted(group[order], np.arange(count * (numbers.max() + 1) + 1))
+    products = weight[a[order]] * weight[b[order]] * weight[c[order]]
+    for absolute in (False, True):
+        values = _nested(algebra, gradient, hessian, points, absolute).reshape(-1, len(points))[order]
+        factors = np.abs(products) if absolute else products
+        sums = [factors[one].T @ values[one] for one in map(slice, first[:-1], first[1:])]
+        yield np.reshape(sums, (count, -1, weight.shape[1], len(points)))
 
 
 def _nested(algebra: LieAlgebra, gradient: Floats, hessian: Floats, points: Floats, absolute: bool) -> Floats:
@@ -122,17 +124,21 @@ def _nested(algebra: LieAlgebra, gradient: Floats, hessian: Floats, points: Floa
     sign = 1.0 if absolute else -1.0
     if absolute:
         gradient, hessian, points, c = map(np.abs, (gradient, hessian, points, c))
-    n, count = points.shape[1], len(points)
+    (count, n), atoms = points.shape, len(gradient)
     structure = np.zeros((n, n, count))
     np.add.at(structure, (i, j), c[:, None] * points[:, k].T)
     np.add.at(structure, (j, i), sign * c[:, None] * points[:, k].T)
-    rotated = np.einsum("pqx,bxq->bxp", structure, gradient, optimize=True)
-    inner = np.einsum("axpq,bxq->abxp", hessian, rotated, optimize=True)
+    structure = np.ascontiguousarray(np.moveaxis(structure, -1, 0))
+    rotated = structure @ gradient[..., None]
+    inner = (hessian[:, None] @ rotated)[..., 0]
     inner = inner + sign * np.swapaxes(inner, 0, 1)
     pairs = gradient[:, None, :, i] * gradient[None, :, :, j] + sign * gradient[:, None, :, j] * gradient[None, :, :, i]
-    np.add.at(np.moveaxis(inner, -1, 0), k, np.moveaxis(c * pairs, -1, 0))
-    outer = np.einsum("pqx,bcxq->bcxp", structure, inner, optimize=True)
-    return np.einsum("axp,bcxp->abcx", gradient, outer, optimize=True)
+    sums = np.zeros((len(k), n))
+    sums[np.arange(len(k)), k] = c
+    outer = structure @ (inner + pairs @ sums)[..., None]
+    columns = outer[..., 0].transpose(2, 3, 0, 1).reshape(count, n, atoms**2)
+    products = gradient.swapaxes(0, 1) @ columns
+    return np.moveaxis(products.reshape(count, atoms, atoms, atoms), 0, -1)
 
 
 def _derivatives(
@@ -372,7 +378,7 @@ def _ordered(
         found.append(of_members)
     fewest = len(alternatives[0][1])
     unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
-    if not unordered and fewest > MAX_PERMUTED:
+    if not unordered and (fewest > MAX_PERMUTED or stack.functions_differ):
         return []
     sized = (
         [
@@ -429,9 +435,9 @@ def _of_members(
             return None
     chosen = _shifted(stack, casimirs, by_name)[1](np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, shift)
-    sources = sources_of_parts(term_table(parts).table(), parts, terms)
-    if sources.computed:
+    if np.any(parts.source == COMPUTED):
         return None
+    sources = sources_of_parts(term_table(parts).table(), parts, terms)
     constants = {"offset": parts.offset, "weight": parts.weights.value}
     offset, weight = (sources.multiples[name].at(each, chosen.split) for name, each in constants.items())
     return chosen, sources, angles_of(parts, offset, weight)

@@ -407,7 +407,10 @@ def check_splits(system: LiePoissonSystem) -> None:
                 _check_monomial(system, exponents, coefficient)
 
     for term in system.hamiltonian.terms():
-        _read(system, term, quadratic, polynomial, lambda _: None)
+        if type(term) is QuadraticTerm:
+            quadratic(term)
+        else:
+            _read(system, term, quadratic, polynomial, lambda _: None)
 
 
 def _check_monomial(system: LiePoissonSystem, exponents: tuple[int, ...], coefficient: Any) -> None:

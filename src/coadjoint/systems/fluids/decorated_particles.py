@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from math import comb
 from typing import Any
 
@@ -35,10 +35,11 @@ MAX_COEFFICIENT = 1e50
 MAX_DENSE_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
 
 
-def _with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
-    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g."""
-    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time.
-    algebra = direct_sum(heisenberg(pairs), g)
+@lru_cache(maxsize=8)
+def _algebra(particles: int) -> LieAlgebra:
+    """Return the sum of `heisenberg` and the second moments of each particle: q1, ..., qn, p1, ..., pn, z, moments."""
+    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations of moments; sign -1 reverses time.
+    algebra = direct_sum(heisenberg(particles), copies(moments(2), particles))
     casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
     return LieAlgebra._from_valid(
         algebra.triples, algebra.dim, algebra.basis, algebra.name, algebra.representation, casimirs
@@ -135,7 +136,7 @@ def decorated_particles(
     """
     w = _weights(weights)
     n = len(w)
-    algebra = _with_canonical_pairs(n, copies(moments(2), n))
+    algebra = _algebra(n)
     functions = validate_potential(external, "external"), validate_potential(pair, "pair")
     W, U = (
         None if f else _coefficients(c, what) for f, c, what in zip(functions, (external, pair), _NAMES, strict=True)

@@ -38,6 +38,7 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
 from coadjoint.systems.user_functions import (
     SumOfShares,
     all_take_time,
+    at_constants,
     check_derivative,
     multiple_of,
     numbers_at_samples,
@@ -261,13 +262,12 @@ class FunctionOfConstants(NamedTuple):
 
     def hamiltonian(self) -> Hamiltonian:
         """Return the function of y, bound without a check of the derivatives, which takes minutes for 200 bodies."""
-        c = self.constants
-        value, gradient, hessian = self.value, self.gradient, self.hessian
-        functions: tuple[Callable[..., Any], ...] = (lambda y: value(y, c)), (lambda y: gradient(y, c))
+        c, value, gradient = self.constants, self.value, self.gradient
+        functions = [at_constants(function, c) for function in (value, gradient, self.hessian)]
         if self.shares > 1:
             shares = (lambda y, k: value(y, c, k)), (lambda y, k: gradient(y, c, k))
-            functions = tuple(SumOfShares(share, self.shares) for share in shares)
-        energy = Hamiltonian(functions[0], functions[1], lambda y: hessian(y, c))
+            functions[:2] = (SumOfShares(share, self.shares) for share in shares)
+        energy = Hamiltonian(*functions)
         energy.dim = len(self.coordinates)
         return energy
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -9,6 +10,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import is_finite, quotient
 from coadjoint.algebra.polynomials.monomials import exponents_of
@@ -16,6 +18,7 @@ from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import Graph, TracingError, traced
 
+Floats = NDArray[np.float64]
 Pair = tuple[int, int]
 Monomials = dict[tuple[int, ...], Any]
 """The coordinates of each monomial, with multiplicity, to its coefficient."""
@@ -41,11 +44,14 @@ def _product(left: Monomials, right: Monomials) -> Monomials | None:
 class RecordedFunction:
     """A function of n coordinates by its recorded operations: as a sum, and as F(q_1, ..., q_k, t) of polynomials q."""
 
-    def __init__(self, value: Callable[..., Any], n: int, timed: bool) -> None:
-        self.graph, self.n = traced(value, n, timed), n
+    def __init__(self, value: Callable[..., Any], n: int, timed: bool, constants: Floats | None = None) -> None:
+        self.graph, self.n = traced(value, n, timed, constants=constants), n
+        self.constants = constants
+        self._numbers: dict[int, Any] = {**self.graph.numbers, **self.graph.fixed}
         self._last = self.graph.entry(self.graph.result)
         self._expanded: dict[int, Monomials | None] = {}
-        self._divided: dict[Any, tuple[Any, ...]] = {}
+        self._divided: dict[Any, tuple[Any, ...] | None] = {}
+        self.omissions: dict[Any, dict[frozenset[int], list[int]]] = {}
 
     @cached_property
     def _depends(self) -> list[frozenset[int]]:
@@ -65,14 +71,14 @@ class RecordedFunction:
         # Earlier entries come first, so that there is no recursion.
         for k in self.graph.needed([index], self._expanded):
             found = self._expand(k)
-            usable = found is not None and len(found) <= MAX_MONOMIALS and all(map(is_finite, found.values()))
+            usable = found is not None and len(found) <= MAX_MONOMIALS and all(map(_is_finite, found.values()))
             self._expanded[k] = found if usable else None
         return self._expanded[index]
 
     def _expand(self, index: int) -> Monomials | None:
         operation, inputs = self.graph.operations[index], self.graph.inputs[index]
-        if operation == "number":
-            return {(): self.graph.numbers[index]}
+        if index in self._numbers:
+            return {(): self._numbers[index]}
         if operation == "variable":
             return {(index,): 1} if index < self.n else None
         parts = [part for k in inputs if (part := self._expanded[k]) is not None]
@@ -89,11 +95,13 @@ class RecordedFunction:
             return total
         if operation == "mul":
             return _product(first, second)
-        number = self.graph.numbers.get(inputs[1])
+        number = self._numbers.get(inputs[1])
         if number is None:
             return None
         if operation == "div":
-            return {key: quotient(value, number) for key, value in first.items()} if number != 0 else None
+            return {key: _quotient(value, number) for key, value in first.items()} if np.all(number != 0) else None
+        if np.ndim(number):
+            return None
         degree = max(map(len, first), default=0)
         if number != int(number) or not 0 <= number or degree * number > MAX_DEGREE:
             return None
@@ -143,7 +151,7 @@ class RecordedFunction:
         found, pending, seen = [], [self._last], set[int]()
         while pending:
             index = pending.pop()
-            if index in seen or index in self.graph.numbers:
+            if index in seen or index in self._numbers:
                 continue
             seen.add(index)
             if self.monomials(index) is None:
@@ -151,6 +159,13 @@ class RecordedFunction:
             else:
                 found.append(index)
         return tuple(sorted(found))
+
+    def coefficients_at(self, constants: Floats) -> list[Monomials] | None:
+        """Return the monomials of the polynomials q at constants (k, members), or None if these are no polynomials."""
+        other = copy.copy(self)
+        other._expanded, other._numbers = {}, self.graph.numbers | self.graph.fixed_at(constants)
+        found = [other.monomials(index) for index in self._ends]
+        return None if any(one is None for one in found) else [one for one in found if one is not None]
 
     @cached_property
     def polynomials(self) -> tuple[Polynomial, ...]:
@@ -165,8 +180,14 @@ class RecordedFunction:
         # The coordinates are repeated, once for each set.
         key = tuple(map(tuple, sets)), term.hessian is None
         if key not in self._divided:
+            self._divided[key] = None
             self._divided[key] = self._functions(*key)
-        value, gradient, hessian = self._divided[key]
+        if (found := self._divided[key]) is None:
+            raise TracingError("its derivatives take too many operations")
+        value, gradient, hessian = found
+        if self.constants is not None:
+            made = (one and one.of_constants.make(term.constants) for one in (value, gradient, hessian))
+            value, gradient, hessian = made
         coordinates = np.tile(term.coordinates, len(sets))
         return replace(term, coordinates=coordinates, value=value, gradient=gradient, hessian=hessian)
 
@@ -186,6 +207,19 @@ class RecordedFunction:
         curvatures = [entry for one in gradient for entry in (*graph.gradient(one, variables), *rest)]
         shape = (len(gradient),) * 2
         return value, first, graph.function(curvatures, f"{{array}}.reshape({shape})")
+
+
+def _is_finite(value: Any) -> bool:
+    return bool(np.isfinite(value).all()) if _of_members(value) else is_finite(value)
+
+
+def _quotient(numerator: Any, denominator: Any) -> Any:
+    of_members = _of_members(numerator) or _of_members(denominator)
+    return numerator / denominator if of_members else quotient(numerator, denominator)
+
+
+def _of_members(value: Any) -> bool:
+    return bool(getattr(value, "ndim", 0))
 
 
 def separated(
@@ -259,5 +293,17 @@ def recorded_function(value: Callable[..., Any], n: int, timed: bool) -> Recorde
     """Return a function by its recorded operations; None if it cannot be recorded, or has many coordinates."""
     try:
         return RecordedFunction(value, n, timed) if n <= MAX_COORDINATES else None
+    except TracingError:
+        return None
+
+
+@lru_cache(maxsize=64)
+def recorded_for_constants(function: Callable[..., Any], n: int, pattern: bytes) -> RecordedFunction | None:
+    """Return a function of (y, c) by its recorded operations, for all c of this pattern; None as above."""
+    first = np.frombuffer(pattern, dtype=np.int64)
+    # No products of these numbers cancel by chance.
+    constants = np.where(first < 0, 0.0, 1.5 + 0.5 * np.cos(1.0 + first))
+    try:
+        return RecordedFunction(function, n, False, constants) if n <= MAX_COORDINATES else None
     except TracingError:
         return None

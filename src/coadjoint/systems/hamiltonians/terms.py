@@ -15,6 +15,7 @@ from coadjoint.caching import cached_if_small
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, polynomial_of_entries, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_state, restore_state
+from coadjoint.systems.user_functions import of_constants
 
 MAX_COORDINATES = 2**32 - 1  # the largest unsigned number of 32 bits, the type of indices in compiled loops
 
@@ -375,10 +376,19 @@ class FunctionTerm:
     def to_polynomial(self) -> None:
         """Return None: it is no polynomial."""
 
+    @property
+    def constants(self) -> npt.NDArray[np.float64] | None:
+        """The constants from which its functions follow, or None."""
+        found = of_constants(self.value)
+        return None if found is None else found.constants
+
     def structure(self) -> tuple[Hashable, list[Any]]:
-        """Return the piece, the coordinates and the functions, and no coefficients."""
-        functions = self.value, self.gradient, self.hessian
-        return (self.piece, self.coordinates.tobytes(), *functions, self.scalar, self.timed), []
+        """Return the piece, the coordinates, the functions and the pattern of their constants, and these."""
+        found = of_constants(self.value)
+        given = self.value, self.gradient, self.hessian
+        functions = [one.key if (one := of_constants(function)) else function for function in given]
+        common = self.piece, self.coordinates.tobytes(), *functions, self.scalar, self.timed
+        return (common, []) if found is None else ((*common, found.pattern), [found.constants])
 
     def sum_of_absolute_values(self, size: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return zeros: absolute terms of functions are not known."""

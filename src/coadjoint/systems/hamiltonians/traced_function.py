@@ -5,19 +5,21 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
+import operator
 import traceback
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from textwrap import indent
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, evaluate, sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
-from coadjoint.systems.user_functions import first_difference, with_multiples, without_multiples
+from coadjoint.systems.user_functions import OfConstants, first_difference, with_multiples, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
@@ -62,6 +64,16 @@ BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
 }
 """Operation -> its text, and its derivatives by both arguments, a and b, where its value is y."""
 
+EVALUATED: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "pow": operator.pow,
+    "neg": operator.neg,
+}
+"""Operations of numbers that have another name in NumPy."""
+
 
 COMPARES = "it compares a coordinate or tests it, as `if`, np.where, np.maximum and np.sign do"
 
@@ -80,29 +92,57 @@ def _slopes_of_power(base: Any, exponent: Any, value: Any) -> tuple[Any, Any]:
 class Graph:
     """A function of (x) or (x, t), x of shape (n,): operations with their arguments, earlier entries, and a result."""
 
-    # Variables and numbers are entries too. The variables come first, the time after the coordinates.
+    # Variables and numbers are entries too. The variables come first, the time after the coordinates. A function of
+    # constants too is that of other ones with the values of `fixed` entries, which depend on constants alone. Those
+    # that vanish are numbers.
 
-    def __init__(self, n: int, timed: bool) -> None:
+    def __init__(self, n: int, timed: bool, constants: Sequence[float] = ()) -> None:
         self.operations: list[str] = []
         self.inputs: list[tuple[int, ...]] = []  # the arguments of each entry
         self.numbers: dict[int, int | float] = {}
         self._variables: dict[int, str] = {}
+        self._places: dict[int, int] = {}  # of constants
+        self.fixed: dict[int, Any] = {}
         self._known: dict[Any, int] = {}
         self.timed = timed
         self.variables = tuple(self._variable(f"x[{k}]") for k in range(n))
         self.time = self._variable("t") if timed else None
+        self.constants = [self._constant(k, value) if value else 0.0 for k, value in enumerate(constants)]
         self.result: Any = 0
 
     def _add(self, operation: str, inputs: tuple[int, ...] = (), text: str = "") -> int:
         """Return the number of an entry; equal ones are recorded once."""
         key = operation, inputs, text
         if key not in self._known:
-            if operation != "number" and len(self.operations) - len(self.numbers) >= MAX_OPERATIONS:
+            recorded = len(self.operations) - len(self.numbers) - len(self.fixed)
+            if operation != "number" and recorded >= MAX_OPERATIONS:
                 raise TracingError(f"it takes more than {MAX_OPERATIONS} operations")
             self._known[key] = len(self.operations)
             self.operations.append(operation)
             self.inputs.append(inputs)
+            if any(k in self.fixed for k in inputs) and all(k in self.fixed or k in self.numbers for k in inputs):
+                self.fixed[self._known[key]] = self._evaluated(self._known[key], self.fixed)
         return self._known[key]
+
+    def _constant(self, number: int, value: float) -> Traced:
+        index = self._add("constant", text=str(number))
+        self.fixed[index] = np.float64(value)
+        self._places[index] = number
+        return Traced(self, index)
+
+    def _evaluated(self, index: int, fixed: Mapping[int, Any]) -> Any:
+        values = [self.numbers[k] if k in self.numbers else fixed[k] for k in self.inputs[index]]
+        name = self.operations[index]
+        with np.errstate(all="ignore"):
+            return (EVALUATED.get(name) or getattr(np, name))(*values)
+
+    def fixed_at(self, constants: NDArray[np.float64]) -> dict[int, Any]:
+        """Return the values of the `fixed` entries at other constants (k,), or (k, members), with the same zeros."""
+        found: dict[int, Any] = {}
+        for index in self.fixed:
+            place = self._places.get(index)
+            found[index] = self._evaluated(index, found) if place is None else constants[place]
+        return found
 
     def _variable(self, text: str) -> Traced:
         index = self._add("variable", text=text)
@@ -141,7 +181,7 @@ class Graph:
         slopes: dict[int, Any] = {last: 1}
         for index in range(last, -1, -1):
             operation, inputs, slope = self.operations[index], self.inputs[index], slopes.get(index, 0)
-            if constant_of(slope) == 0 or not inputs or index in ends:
+            if constant_of(slope) == 0 or not inputs or index in ends or index in self.fixed:
                 continue
             arguments, value = [self.at(k) for k in inputs], Traced(self, index)
             if operation == "neg":
@@ -151,7 +191,7 @@ class Graph:
             else:
                 factors = BINARY[operation][1](*arguments, value)
             for argument, factor in zip(inputs, factors, strict=True):
-                if argument not in self.numbers:
+                if argument not in self.numbers and argument not in self.fixed:
                     slopes[argument] = slopes.get(argument, 0) + slope * factor
         return [slopes.get(variable.index, 0) for variable in variables]
 
@@ -174,16 +214,29 @@ class Graph:
         """Return a function of (x) or (x, t) that computes results, in `returned` written as {0} or {array}."""
         # Floats are closed over, so that functions with others have the same text, and the same machine code.
         entries, names = [self.entry(result) for result in results], dict[int, str]()
-        lines = [
-            f"    v{index} = {self._text(index, names)}" for index in self.needed(entries) if index not in self.numbers
-        ]
+        needed = (index for index in self.needed(entries, self.fixed) if index not in self.numbers)
+        lines = [f"    v{index} = {self._text(index, names)}" for index in needed]
         texts = [self._operand(k, names) if k not in self.numbers else self._float(k, names) for k in entries]
         begins = range(0, len(texts), MAX_TUPLE)
         pieces = [f"np.array(({', '.join(texts[k : k + MAX_TUPLE])},))" for k in begins]
         array = pieces[0] if len(pieces) == 1 else f"np.concatenate(({', '.join(pieces)}))"
         heading = f"def derived(x{', t' if self.timed else ''}):"
         source = "\n".join([heading, *lines, f"    return {returned.format(*texts[:1], array=array)}", ""])
-        return _defined(source, tuple(float(self.numbers[k]) for k in names))
+        if not self.fixed:
+            return _defined(source, tuple(float(self.numbers[k]) for k in names))
+        return self._defined_at(source, tuple(names), self.fixed)
+
+    def _defined_at(
+        self, source: str, names: tuple[int, ...], fixed: Mapping[int, Any], constants: Any = None
+    ) -> Callable[..., Any]:
+        """Return the function of a source text at constants with these values of the entries."""
+        defined: Any = _defined(source, tuple(float(fixed[k] if k in fixed else self.numbers[k]) for k in names))
+
+        def make(others: NDArray[np.float64]) -> Callable[..., Any]:
+            return self._defined_at(source, names, self.fixed_at(others), others)
+
+        defined.of_constants = OfConstants(make, constants, (source, names))
+        return cast("Callable[..., Any]", defined)
 
     def _text(self, index: int, names: dict[int, str]) -> str:
         if index in self._variables:
@@ -198,6 +251,8 @@ class Graph:
 
     def _operand(self, index: int, names: dict[int, str]) -> str:
         """Return an operand as it is written: an integer as it is, a float by its name."""
+        if index in self.fixed:
+            return names.setdefault(index, f"c{len(names)}")
         number = self.numbers.get(index)
         if number is None:
             return f"v{index}"
@@ -211,15 +266,22 @@ class Graph:
 
 def _defined(source: str, constants: tuple[float, ...]) -> Callable[..., Any]:
     """Define the function of a source text, which `inspect` finds like that of any other function, and its floats."""
-    arguments = ", ".join(f"c{k}" for k in range(len(constants)))
+    function: Callable[..., Any] = _factory(source, len(constants))(*constants)
+    function.__defined__ = source, constants  # type: ignore[attr-defined]
+    return function
+
+
+@lru_cache(maxsize=256)
+def _factory(source: str, count: int) -> Callable[..., Any]:
+    """Return the function of so many floats that defines the function of a source text."""
+    arguments = ", ".join(f"c{k}" for k in range(count))
     text = f"def closed_over({arguments}):\n{indent(source, '    ')}    return derived\n"
     name = f"<derived {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}>"
     linecache.cache[name] = len(text), None, text.splitlines(keepends=True), name
     names: dict[str, Any] = {"np": np, "__name__": DERIVED_MODULE}
     exec(compile(text, name, "exec", dont_inherit=True), names)
-    function: Callable[..., Any] = names["closed_over"](*constants)
-    function.__defined__ = source, constants  # type: ignore[attr-defined]
-    return function
+    factory: Callable[..., Any] = names["closed_over"]
+    return factory
 
 
 def picklable_function(function: Any) -> Any:
@@ -342,10 +404,25 @@ for _name in UNARY:
     setattr(Traced, _name, _unary(_name))
 
 
-def traced(function: Callable[..., Any], n: int, timed: bool, in_place: bool = False) -> Graph:
-    """Record a function of (x) or (x, t), x (n,); TracingError if impossible; `in_place`, it may fill its arrays."""
-    graph, x = Graph(n, timed), np.empty(n, dtype=object)
+def traced(
+    function: Callable[..., Any],
+    n: int,
+    timed: bool,
+    in_place: bool = False,
+    constants: NDArray[np.float64] | None = None,
+) -> Graph:
+    """Record a function of (x) or (x, t), x (n,); TracingError if impossible; `in_place`, it may fill its arrays.
+
+    With `constants` it is a function of (x, constants), recorded for all that are zero where these are.
+    """
+    graph, x = Graph(n, timed, () if constants is None else constants.tolist()), np.empty(n, dtype=object)
     x[:] = graph.variables
+    if constants is not None:
+        recorded, of_both = np.array(graph.constants, dtype=object), function
+
+        def function(x: Any) -> Any:
+            return of_both(x, recorded if x.dtype == object else constants)
+
     function = getattr(function, "py_func", function)
     called = with_new_arrays(function, lambda found: found.astype(object)) if in_place else function
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 from weakref import WeakValueDictionary
@@ -231,7 +231,7 @@ def spin_lattice(
         **on_spins(sites, mu),
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else known_integrals(sites, T, D, K, B, uniform, mu),
+        integrals={} if strength else KnownInvariants(total_spins(sites, T, D, K, B, uniform, mu)),
         layout=layout,
     )
 
@@ -245,12 +245,6 @@ def on_spins(sites: int, mu: Floats) -> dict[str, Any]:
 
 def _sum_of_squares(sites: int) -> Quadratic:
     return Quadratic(np.full(3 * sites, 2.0))
-
-
-def known_integrals(sites: int, *couplings: Any) -> Mapping[str, Any]:
-    """Return the constant components of the total spin, checked for few spins, and for many made when they are read."""
-    found = total_spins(sites, *couplings)
-    return KnownInvariants(found) if sites > MAX_RECORDED_SPINS else {name: make() for name, make in found.items()}
 
 
 # Algebras of lattices that exist.

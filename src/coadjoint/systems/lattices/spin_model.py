@@ -31,11 +31,12 @@ from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
 from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, edges_of_bonds
 from coadjoint.systems.lattices.spin_lattice import (
     MAX_STORED_VALUES,
-    known_integrals,
     on_spins,
     precession,
+    total_spins,
 )
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_choice, read_finite, read_number, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
@@ -105,7 +106,9 @@ class SpinModel(LiePoissonSystem):
         plain = driven is None and not declared.dipolar
         J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
         exact = precession(count, edges, J, T if len(edges) else np.zeros((3, 3)), K, field, mu) if plain else None
-        integrals = known_integrals(count, T, np.zeros(3), K, field, uniform, mu) if not declared.dipolar else {}
+        integrals = (
+            {} if declared.dipolar else KnownInvariants(total_spins(count, T, np.zeros(3), K, field, uniform, mu))
+        )
         super().__init__(
             hamiltonian=H,
             **on_spins(count, mu),
