@@ -1,12 +1,12 @@
 // Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; at
 // fractions of the step for higher orders; with the work integrals of each force.
 #include <cmath>
-#include <cstring>
 #include <memory>
 
 #include "forces/force.hpp"
 #include "matrices/compiled_transforms.hpp"
 #include "matrices/invariants.hpp"
+#include "steps/forced_layout.hpp"
 #include "steps/inner_step.hpp"
 #include "steps/member_batches.hpp"
 
@@ -14,70 +14,40 @@ namespace coadjoint {
 
 namespace {
 
-struct Substep {
-    double begin, length;  // in units of the step
-    int64_t loop;
-};
-
 struct Forced final : BatchScheme {
     const StepTables& tables;
     const MemberConstants constants;
+    const ForcedLayout layout;
     const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, tracked;
     std::vector<std::unique_ptr<InnerStep>> inner, batched;  // one for each length; of many members
-    std::vector<Substep> substeps;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
     bool measured = true;  // whether all forces compute the changes of the energy themselves
 
-    // `whole`: the addresses of the first inner loop, the number of forces, the addresses of their tables, the number of
-    // other inner loops and their addresses, the number of substeps, the bits of their lengths and their loops, and what
-    // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
+    // `whole` is read by `ForcedLayout`; for a matrix its invariants replace those of the tables.
     Forced(const StepTables& tables, const MemberConstants& constants)
-        : tables(tables), constants(constants),
-          matrices(matrix_invariants(after_substeps(tables.whole), tables.coefficients)), n(tables.field.size),
+        : tables(tables), constants(constants), layout(tables.whole),
+          matrices(matrix_invariants(layout.rest, tables.coefficients)), n(tables.field.size),
           tracked(matrices ? matrices->count() : tables.restored.size),
           values(tracked), before(tracked), arguments(tables.restored.longest + 1),
           workspace(2 * tables.restored.longest + 2) {
-        const int64_t *other = other_loops(tables.whole), *one = other + 1 + ADDRESSES * other[0];
-        for (int64_t k = 0; k <= other[0]; ++k)
-            inner.emplace_back(new InnerStep(inner_loop(k), n, tables.group.size * tables.group.size));
-        double elapsed = 0.0;
-        for (int64_t k = 0; k < one[0]; ++k) {
-            Substep substep{elapsed, 0.0, one[2 + 2 * k]};
-            std::memcpy(&substep.length, one + 1 + 2 * k, sizeof(double));
-            substeps.push_back(substep);
-            elapsed += substep.length;
-        }
-        for (int64_t k = 0; k < tables.whole[5]; ++k)
-            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field,
-                                          tables.group, constants));
+        for (const int64_t* loop : layout.loops)
+            inner.emplace_back(new InnerStep(loop, n, tables.group.size * tables.group.size));
+        for (const ForceTable* force : layout.forces)
+            forces.emplace_back(new Force(*force, tables.field, tables.group, constants));
         for (const auto& force : forces) measured = measured && force->measures() && force->table.work_integrals <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
         // substeps of other lengths.
-        memory_size = matrices && substeps.size() == 1 ? tables.whole[3] : 0;
+        memory_size = matrices && layout.substeps.size() == 1 ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
-               int64_t(substeps.size()) * (2 * tables.whole[5] + 2) *
+               int64_t(layout.substeps.size() * (2 * forces.size() + 2)) *
                    (matrices ? matrices->work() : work_of_terms(tables.restored.terms, 0, tables.restored.terms.size));
     }
 
-    static constexpr int64_t ADDRESSES = 5;  // of an inner loop
-
-    static const int64_t* other_loops(const int64_t* whole) { return whole + ADDRESSES + 1 + whole[ADDRESSES]; }
-
-    const int64_t* inner_loop(int64_t k) const {
-        return k ? other_loops(tables.whole) + 1 + ADDRESSES * (k - 1) : tables.whole;
-    }
-
-    static const int64_t* after_substeps(const int64_t* whole) {
-        const int64_t* other = other_loops(whole);
-        const int64_t* one = other + 1 + ADDRESSES * other[0];
-        return one + 1 + 2 * one[0];
-    }
-
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
-        for (const Substep& one : substeps) {
-            const bool ends[] = {&one == &substeps.front(), &one == &substeps.back()};
+        for (const Substep& one : layout.substeps) {
+            const bool ends[] = {&one == &layout.substeps.front(), &one == &layout.substeps.back()};
             if (const int64_t status = take(one, x, dx, group, t, h, ends)) return status;
         }
         return DONE;
@@ -118,8 +88,7 @@ struct Forced final : BatchScheme {
 
     void step_batch(BatchMember* members, int64_t count, double t, double h) override {
         if (batched.empty())
-            for (int64_t k = 0; k <= other_loops(tables.whole)[0]; ++k)
-                batched.emplace_back(new InnerStep(inner_loop(k), n, 0, MOST_MEMBERS));
+            for (const int64_t* loop : layout.loops) batched.emplace_back(new InnerStep(loop, n, 0, MOST_MEMBERS));
         for (int64_t b = 0; b < count; ++b) members[b].evaluations = members[b].iterations = 0;
         const auto move_members = [&](const Substep& one, int64_t side, bool end) {
             for (BatchMember* to = members; to < members + count; ++to) {
@@ -132,8 +101,8 @@ struct Forced final : BatchScheme {
                 to->residual = residual;
             }
         };
-        for (const Substep& one : substeps) {
-            move_members(one, 0, &one == &substeps.front());
+        for (const Substep& one : layout.substeps) {
+            move_members(one, 0, &one == &layout.substeps.front());
             double* states[MOST_MEMBERS];
             int64_t status[MOST_MEMBERS], moving = 0;
             for (int64_t b = 0; b < count; ++b)
@@ -147,7 +116,7 @@ struct Forced final : BatchScheme {
                 members[b].iterations += inner.iterations_of(position);
                 members[b].residual = inner.residual_of(position++);
             }
-            move_members(one, 1, &one == &substeps.back());
+            move_members(one, 1, &one == &layout.substeps.back());
         }
     }
 
