@@ -1,16 +1,18 @@
 """What do derivatives of runs cost? Gradients, tangents and steps, beside the same run or step without them.
 
     python benchmarks/derivatives.py [--steps N] [--rounds N]
+    python benchmarks/derivatives.py --forces [--steps N] [--rounds N]
     python benchmarks/derivatives.py --lattice 200 [--threads 1 2] [--rounds N]
 
 Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
-by the initial state and all parameters; its time contains the run. With --lattice, those of one square lattice of spins
-in turns on each number of threads.
+by the initial state and all parameters; its time contains the run. With --forces, runs with forces and attitudes, one
+and an ensemble. With --lattice, those of one square lattice of spins in turns on each number of threads.
 """
 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 
 import numpy as np
 from lyapunov import best
@@ -50,6 +52,48 @@ def cases() -> dict[str, tuple[object, np.ndarray, list[object], bool]]:
         ),
         "1000 bodies": (body, rng.standard_normal((1000, 3)), [co.Splitting(order=4), co.GaussLegendre(2)], False),
     }
+
+
+def speed_limit(x, t, drag):
+    """Return a torque as a function of the state, with a parameter."""
+    return -drag * x * (x @ x)
+
+
+def of_forces(steps: int, rounds: int) -> None:
+    """Print the times of derivatives of runs with forces and attitudes in those of the runs, of one and 256 members."""
+    F = co.forces
+    forces = {
+        "none": (),
+        "damping": (F.LinearDamping(0.1),),
+        "constant torque": (F.Torque((0.1, 0.2, 0.3)),),
+        "function of time": (F.Torque(lambda t: np.array([np.sin(t), np.cos(t), 0.0])),),
+        "function of the state": (F.Torque(speed_limit, arguments={"drag": 0.1}),),
+        "double bracket": (F.DoubleBracketDamping(0.1),),
+        "heat bath": (F.HeatBath(0.1, temperature=0.5, seed=7),),
+    }
+    body, x0 = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), np.array([0.3, 1.0, 0.2])
+    print(f"{'forces':24s}members  us/step  tangent  {DIRECTIONS} tangents  gradient")
+    for name, own in forces.items():
+        ready = co.prepare(body.with_forces(*own) if own else body, co.Splitting(), 0.01, attitude=True, threads=1)
+        for members in (1, 256):
+            count = max(50, steps // (10 * members))
+            start = x0 if members == 1 else np.outer(np.linspace(0.5, 1.5, members), x0)
+            span = (0.0, 0.01 * count)
+
+            def run(ready=ready, start=start, span=span, count=count):
+                ready.run(start, span, save_every=count)
+
+            def tangents(directions, ready=ready, start=start, span=span, count=count):
+                ready.jvp(start, span, {"x0": np.ones((*start.shape, directions))}, save_every=count)
+
+            def gradient(ready=ready, start=start, span=span, count=count):
+                sol, pullback = ready.vjp(start, span, save_every=count)
+                pullback(x=np.ones(sol.x.shape), attitude=np.ones(sol.attitude.shape))
+
+            times = best(rounds, run, partial(tangents, 1), partial(tangents, DIRECTIONS), gradient)
+            row = f"{name:24s}{members:7d}{1e6 * times[0] / (count * members):9.2f}"
+            ratios = zip(times[1:], (9, 12, 10), strict=True)
+            print(row + "".join(f"{one / times[0]:{width}.1f}" for one, width in ratios), flush=True)
 
 
 def of_lattice(side: int, threads: list[int], rounds: int) -> None:
@@ -94,11 +138,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--forces", action="store_true", help="runs with forces and attitudes")
     parser.add_argument("--lattice", type=int, metavar="SIDE", help="spins on a side of a square lattice")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="with --lattice")
     given = parser.parse_args()
     if given.lattice:
         of_lattice(given.lattice, given.threads, given.rounds)
+        return
+    if given.forces:
+        of_forces(given.steps, given.rounds)
         return
     print(f"{'system':16s}{'scheme':30s}{'ns/step':>9s}  gradient  {DIRECTIONS} tangents  step (us)  tangent of it")
     for name, (system, x0, methods, attitude) in cases().items():

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 UNIT_ROUNDOFF = 2.0**-53
 """Half the spacing of floats above 1: the largest relative error of one rounding."""
+COMPLEX_STEP = 2.0**-300
+"""Imaginary step of a derivative: second-order terms vanish, and products do not underflow."""
 # Not constants, which Python would compute with when it compiles this; and a bit, which no mode flushes to zero.
 ONE, BELOW_ROUNDOFF, SUBNORMAL = 1.0, 2.0**-60, struct.unpack("<d", bytes((1, 0, 0, 0, 0, 0, 0, 0)))[0]
 

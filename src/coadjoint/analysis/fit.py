@@ -358,7 +358,11 @@ def _weights(
             raise unknown_name("measured value of this run", name, (*outputs, *quantities))
         array, shape = read_numbers(value, f"measured {name}"), outputs[name].shape
         if array.shape != shape:
-            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}")
+            quaternions = name == "attitude" and array.shape == (*shape[:-2], 4)
+            advice = "; give quaternions as rotations of SciPy, Rotation.from_quat(q) if their order is xyzw"
+            raise ValueError(
+                f"measured {name} has the shape {array.shape}; it must be {shape}{advice if quaternions else ''}"
+            )
         if not are_finite(array):
             place = short(tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0]))
             raise ValueError(

@@ -7,6 +7,7 @@
 #include "forces/force_lanes.hpp"
 #include "matrices/compiled_transforms.hpp"
 #include "matrices/invariants.hpp"
+#include "steps/forced_layout.hpp"
 #include "steps/inner_lanes.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -14,75 +15,45 @@ namespace coadjoint {
 
 namespace {
 
-struct Substep {
-    double begin, length;  // in units of the step
-    int64_t loop;
-};
-
 struct Forced final : StepScheme {
     const StepTables& tables;
     const MemberConstants constants;
+    const ForcedLayout layout;
     const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, tracked;
     // One of both for each length: programs of states that are not large, without a group element, and other loops.
     std::vector<std::unique_ptr<FinishedStep<double>>> programs;
     std::vector<std::unique_ptr<InnerStep>> inner;
-    std::vector<Substep> substeps;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
     bool measured = true;  // whether all forces compute the changes of the energy themselves
 
-    // `whole`: the addresses of the first inner loop, the number of forces, the addresses of their tables, the number of
-    // other inner loops and their addresses, the number of substeps, the bits of their lengths and their loops, and what
-    // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
+    // `whole` is read by `ForcedLayout`; for a matrix its invariants replace those of the tables.
     Forced(const StepTables& tables, const MemberConstants& constants)
-        : tables(tables), constants(constants),
-          matrices(matrix_invariants(after_substeps(tables.whole), tables.coefficients)), n(tables.field.size),
+        : tables(tables), constants(constants), layout(tables.whole),
+          matrices(matrix_invariants(layout.rest, tables.coefficients)), n(tables.field.size),
           tracked(matrices ? matrices->count() : tables.restored.size),
           values(tracked), before(tracked), arguments(tables.restored.longest + 1),
           workspace(2 * tables.restored.longest + 2) {
-        const int64_t *other = other_loops(tables.whole), *one = other + 1 + ADDRESSES * other[0];
-        for (int64_t k = 0; k <= other[0]; ++k) {
+        for (const int64_t* loop : layout.loops) {
             const int64_t square = tables.group.size * tables.group.size;
-            programs.push_back(square || n > WIDEST ? nullptr : FinishedStep<double>::of(inner_loop(k), n));
-            inner.emplace_back(programs.back() ? nullptr : new InnerStep(inner_loop(k), n, square));
+            programs.push_back(square || n > WIDEST ? nullptr : FinishedStep<double>::of(loop, n));
+            inner.emplace_back(programs.back() ? nullptr : new InnerStep(loop, n, square));
         }
-        double elapsed = 0.0;
-        for (int64_t k = 0; k < one[0]; ++k) {
-            Substep substep{elapsed, 0.0, one[2 + 2 * k]};
-            std::memcpy(&substep.length, one + 1 + 2 * k, sizeof(double));
-            substeps.push_back(substep);
-            elapsed += substep.length;
-        }
-        for (int64_t k = 0; k < tables.whole[5]; ++k)
-            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field,
-                                          tables.group, constants));
+        for (const ForceTable* force : layout.forces)
+            forces.emplace_back(new Force(*force, tables.field, tables.group, constants));
         for (const auto& force : forces) measured = measured && force->measures() && force->table.work_integrals <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
         // substeps of other lengths.
-        memory_size = matrices && substeps.size() == 1 ? tables.whole[3] : 0;
+        memory_size = matrices && layout.substeps.size() == 1 ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
-               int64_t(substeps.size()) * (2 * tables.whole[5] + 2) *
+               int64_t(layout.substeps.size() * (2 * forces.size() + 2)) *
                    (matrices ? matrices->work() : work_of_terms(tables.restored.terms, 0, tables.restored.terms.size));
     }
 
-    static constexpr int64_t ADDRESSES = 5;  // of an inner loop
-
-    static const int64_t* other_loops(const int64_t* whole) { return whole + ADDRESSES + 1 + whole[ADDRESSES]; }
-
-    const int64_t* inner_loop(int64_t k) const {
-        return k ? other_loops(tables.whole) + 1 + ADDRESSES * (k - 1) : tables.whole;
-    }
-
-    static const int64_t* after_substeps(const int64_t* whole) {
-        const int64_t* other = other_loops(whole);
-        const int64_t* one = other + 1 + ADDRESSES * other[0];
-        return one + 1 + 2 * one[0];
-    }
-
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
-        for (const Substep& one : substeps) {
-            const bool ends[] = {&one == &substeps.front(), &one == &substeps.back()};
+        for (const Substep& one : layout.substeps) {
+            const bool ends[] = {&one == &layout.substeps.front(), &one == &layout.substeps.back()};
             if (const int64_t status = take(one, x, dx, group, t, h, ends)) return status;
         }
         return DONE;
@@ -190,7 +161,7 @@ struct ForcedLanes final : WideStep {
     explicit ForcedLanes(Forced& alone)
         : alone(alone), tables(alone.tables), n(alone.n), tracked(alone.tracked), values(tracked),
           arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2), known(tracked) {
-        for (size_t k = 0; k < alone.inner.size(); ++k) inner.emplace_back(new InnerLanes(alone.inner_loop(k), n));
+        for (const int64_t* loop : alone.layout.loops) inner.emplace_back(new InnerLanes(loop, n));
         for (const auto& force : alone.forces) forces.emplace_back(new ForceLanes(*force, tables.group, number));
         work = lanes * alone.work;
     }
@@ -219,12 +190,12 @@ struct ForcedLanes final : WideStep {
 
     void take_all(A* x, A* dx, double t, double h) {
         for (const auto& force : forces) force->begin(t, h);
-        for (const Substep& one : alone.substeps) {
-            move_all(one, 0, x, dx, t, h, &one == &alone.substeps.front());
+        for (const Substep& one : alone.layout.substeps) {
+            move_all(one, 0, x, dx, t, h, &one == &alone.layout.substeps.front());
             InnerLanes& inner = *this->inner[one.loop];
             inner.take(x, t + one.begin * h, one.length * h, moving);
             count(inner, moving);
-            move_all(one, 1, x, dx, t, h, &one == &alone.substeps.back());
+            move_all(one, 1, x, dx, t, h, &one == &alone.layout.substeps.back());
         }
     }
 

@@ -62,6 +62,16 @@ class NearbySystems:
         """Return the system with the unchanged entry."""
         return self._moved(0.0)
 
+    def nodes(self) -> tuple[float, list[Any]] | None:
+        """Return the unit of the nodes 1, -1, 2, ..., -4 and the systems there; None if a value is refused."""
+        try:
+            with warnings.catch_warnings():  # of values that the user did not give
+                warnings.simplefilter("ignore")
+                by = (self._distance * NODES).tolist()
+                return self._distance, [self._moved(sign * shift) for shift in by for sign in (1.0, -1.0)]
+        except (TypeError, ValueError):
+            return None
+
     def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
         """Return the derivative of a function of the system by the entry, with about twelve digits."""
         distance, found, refusal = self._distance, None, None

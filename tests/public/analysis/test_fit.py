@@ -446,3 +446,10 @@ def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
     options = {"sigma": {"attitude": sigma}, "attitude": first.as_matrix()}
     with pytest.warns(UserWarning, match="inverses.*space to body" if is_inverse else "contradict sigma"):
         co.fit(body((1.0, 2.0, 2.4)), (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, {"inertia": (2,)}, 10, **options)
+
+
+def test_quaternions_are_refused_with_the_rotations_to_give():
+    """Their order is not guessed."""
+    ready = co.prepare(co.systems.rigid_body((1.0, 2.0, 2.5)), co.Splitting(), 0.1, attitude=True)
+    with refused(ValueError, "(3, 4)", "Rotation.from_quat"):
+        co.fit(ready, (0.3, 1.0, 0.2), (0, 0.2), {"attitude": np.ones((3, 4))}, {"x0": True}, sigma={"attitude": 0.1})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from coadjoint.kernels.tables.compiled import (
     addresses_of,
     as_structure,
     filled,
+    structure_of_table,
 )
 from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
@@ -177,6 +179,53 @@ class BackwardRun(NamedTuple):
     deviations: Floats
     undone: bool
     threads: int
+
+
+# Axes of the arrays of a run; `side` is that of a group element.
+AXES: Mapping[str, tuple[str, ...]] = {
+    "momenta": ("members", "size"),
+    "errors": ("members", "size"),
+    "groups": ("members", "square"),
+    "group_errors": ("members", "square"),
+    "marks": ("marked",),
+    "tangents": ("members", "carried", "size"),
+    "group_tangents": ("members", "carried", "side", "side"),
+    "cotangents": ("members", "size"),
+    "group_cotangents": ("members", "side", "side"),
+    "deviations": ("members",),
+}
+
+
+def numbers_at(address: int, shape: tuple[int, ...], kind: Any = ctypes.c_double) -> NDArray[Any]:
+    """Return the numbers at an address as an array in their memory."""
+    size = prod(shape)
+    return np.frombuffer((kind * size).from_address(address), dtype=kind).reshape(shape) if size else np.zeros(shape)
+
+
+def run_at(kind: Any, address: int, coefficients: int) -> Any:
+    """Return a `ForwardRun` or `BackwardRun` whose structure a kernel has at an address, with arrays in its memory."""
+    structure = structure_of_table(kind).from_address(address)
+    sizes = {name: getattr(structure, name) for name in ("size", "square", "members", "marked")}
+    forward = kind is ForwardRun
+    sizes |= {"side": round(sizes["square"] ** 0.5), "carried": structure.carried if forward else 0}
+    of_each = ("carried",) if forward else ()
+    by_member = not forward or structure.apart
+    axes = {
+        **AXES,
+        "at_points": ("marked", "members", *of_each, "size"),
+        "at_groups": ("marked", "members", *of_each, "side", "side"),
+        "coefficients": (*(("members",) if by_member else ()), *of_each, "coefficients"),
+    }
+    sizes["coefficients"] = coefficients
+
+    def value(name: str) -> Any:
+        found = getattr(structure, name)
+        if name not in axes:
+            return found
+        shape = tuple(sizes[axis] for axis in axes[name])
+        return numbers_at(found, shape, ctypes.c_int64 if name == "marks" else ctypes.c_double)
+
+    return kind(**{name: value(name) for name in kind._fields})
 
 
 def flow_cotangents(

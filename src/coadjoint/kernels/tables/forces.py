@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -28,6 +29,7 @@ from coadjoint.kernels.tables.steps import (
 )
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
+from coadjoint.rounding import COMPLEX_STEP
 from coadjoint.systems.coefficients import linear_of, with_hamiltonian, with_linear
 from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise, SpinTerms, ThermalNoise
 from coadjoint.systems.forces.orbit_noise import NoiseTerms
@@ -103,9 +105,17 @@ def work_integrals_of(system: Any) -> tuple[tuple[str, str], ...]:
 class _ForceTableBuilder:
     """Builder of the table of a force in schemes of an order; `keepalive` holds the code of its function `called`."""
 
-    def __init__(self, system: Any, work_integral: int, work_integrals: int, order: int, compiles: bool = True) -> None:
+    def __init__(
+        self,
+        system: Any,
+        work_integral: int,
+        work_integrals: int,
+        order: int,
+        compiles: bool = True,
+        beside: bool = False,
+    ) -> None:
         self.called: Callable[..., Any] | None = None
-        self._system = system
+        self._system, self._beside = system, beside
         self._compiles, self.n, self._order = compiles, system.dim, order
         self._work_integrals = work_integral, work_integrals
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
@@ -279,7 +289,12 @@ class _ForceTableBuilder:
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         self.called = function
-        if self._compiles:
+        if self._compiles and self._beside:
+            beside, size = _with_vector(function, arguments, self.n), size + self.n
+            self.keepalive = (
+                compiled_function(beside, size, 2 * self.n, scalar=False, flat=True, timed=True, what=what),
+            )
+        elif self._compiles:
             self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
 
 
@@ -326,6 +341,39 @@ def _adapted_arguments(
         return function(y[:n], t, y[n], y[n + 1 :])
 
     return {"t": of_time, "x, t, tau": of_flow, "x, t, tau, deviates": of_noisy_flow}[arguments]
+
+
+def _with_vector(function: Callable[..., Any], arguments: str, n: int) -> Callable[..., Any]:
+    """Return the function of a force of a state and a vector side by side, whose tangent is a complex step.
+
+    Its other arguments, a duration and deviates, follow them.
+    """
+
+    def values(result: Any) -> Any:
+        numbers, out = np.asarray(result).ravel(), np.empty(2 * n)
+        for i in range(n):
+            number = numbers[i] + 0j
+            out[i], out[n + i] = number.real, number.imag / COMPLEX_STEP
+        return out
+
+    def of_state(y: Any, t: float) -> Any:
+        return values(function(y[:n] + COMPLEX_STEP * 1j * y[n:]))
+
+    def of_state_and_time(y: Any, t: float) -> Any:
+        return values(function(y[:n] + COMPLEX_STEP * 1j * y[n:], t))
+
+    def of_flow(y: Any, t: float) -> Any:
+        return values(function(y[:n] + COMPLEX_STEP * 1j * y[n : 2 * n], t, y[2 * n]))
+
+    def of_noisy_flow(y: Any, t: float) -> Any:
+        return values(function(y[:n] + COMPLEX_STEP * 1j * y[n : 2 * n], t, y[2 * n], y[2 * n + 1 :]))
+
+    return {
+        "x": of_state,
+        "x, t": of_state_and_time,
+        "x, t, tau": of_flow,
+        "x, t, tau, deviates": of_noisy_flow,
+    }[arguments]
 
 
 class FieldTable(KernelFunction):
@@ -408,6 +456,32 @@ def _tables_of_forces(
                 known[id(force)] = described
         found.append(described)
     return found
+
+
+def flow_table(system: Any, j: int, order: int) -> ForceTable:
+    """Return the table of the flow j of a system in schemes of an order, without its functions."""
+    reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
+    table: ForceTable = system.flows[j][1].describe_to(reader, system.unforced)
+    return table
+
+
+def compiled_flow(
+    system: Any, j: int, order: int, beside: bool = False
+) -> tuple[ForceTable, tuple[KernelFunction, ...]] | None:
+    """Return the table of the flow j and its function, if it is `beside` of a state and a vector side by side.
+
+    None if the function cannot be compiled, which then must take complex numbers.
+    """
+    if beside and system.has_matrices:
+        return None
+    reader = _ForceTableBuilder(system.unforced, 0, 0, order, beside=beside)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of functions that the user did not give
+            table: ForceTable = system.flows[j][1].describe_to(reader, system.unforced)
+    except TypeError:
+        return None
+    return table, reader.keepalive
 
 
 NUMBERS = ("rate", "aim", "function", "amplitude", "turning", "basis")

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.rounding import COMPLEX_STEP
+
 Floats = NDArray[np.float64]
 
-# Second-order terms vanish, and products do not underflow.
-COMPLEX_STEP = 2.0**-300
 # Cube root of the unit round-off, for which rounding and truncation of a central difference are of equal size.
 DIFFERENCE_STEP = 2.0**-17
 # Largest deviation of a complex step from a difference for an analytic function; differences are more accurate.

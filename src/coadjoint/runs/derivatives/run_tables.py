@@ -18,13 +18,11 @@ from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.sources import NO_MULTIPLES
-from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
+from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedTables
 from coadjoint.runs.derivatives.segments import Segment, StepwiseDerivatives, carry, stepwise_derivatives
 from coadjoint.runs.inputs import Inputs
-from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import Columns
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
-from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import (
@@ -63,8 +61,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
     entries = _flow_entries(run, names)
     attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
-    loops_of = partial(loops_of_system, plain) if of_plain is None else of_plain.loops
-    loops = {c: loops_of(run.base, c * h, representation) for c in dict.fromkeys(scheme.fractions)}
+    loops = run.prepared.loops(h)
 
     def entries_at(values: Floats) -> list[FlowEntry]:
         if inputs is None:
@@ -73,18 +70,18 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         moved = [one._replace(nearby=one.nearby.with_systems(at_values)) for one in entries]
         return moved + (_flow_entries_of_inputs(run, inputs, values, h) if by_inputs else [])
 
-    def steps_at(step: float, values: Floats = NONE) -> ForcedSteps:
-        system, of_steps = run.system if inputs is None else inputs.system_at(values), loops
-        inner_values: tuple[Floats, ...] = ()
-        if of_plain is not None:
-            inner_values = (values[: len(of_plain.values)],)
-            of_steps = {c: one.with_values(*inner_values) for c, one in loops.items()}
-        structures = {c * step: inner.tables_at(c * step, *inner_values) for c in loops}
-        parts = {c * step: PartialSteps(system.unforced, run.base, one) for c, one in of_steps.items()}
-        return ForcedSteps(system, inner, scheme, structures, parts, entries_at(values), attitudes)
+    def tables_at(step: float, values: Floats = NONE) -> Any:
+        if inputs is None:
+            return forced.structure(run.system, loops, step, entries, ())
+        of_inner = () if of_plain is None else (values[: len(of_plain.values)],)
+        system, of_values = inputs.system_at(values), loops.with_values(values)
+        return forced.structure(system, of_values, step, entries_at(values), of_inner)
 
-    every = entries_at(NONE if inputs is None else inputs.values)
-    return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
+    generic = NONE if inputs is None else inputs.values
+    system = run.system if inputs is None else inputs.system_at(generic)
+    forced = ForcedTables(system, inner, scheme, entries_at(generic), attitudes)
+    steps_at = lru_cache(2)(tables_at) if inputs is None else tables_at
+    return forced.derivative_tables(steps_at, [*names, *([INPUTS] if by_inputs else [])])
 
 
 def differ_in_columns(prepared: PreparedRun) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import limited_blas_threads
 from coadjoint.kernels.tables.compiled import raised_by
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
@@ -102,18 +103,21 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
     """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved."""
     name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
     stop, lanes = c_int64(0), limit("MOST_LANES")
-    if callable(name):
-        for start in range(first, last, lanes):
-            name(structure, run, start, min(start + lanes, last))
-        return True
-    if workers == 1 or last - first <= lanes:
-        solved = advance_tables(name, structure, run, first, last, stop)
-    else:
-        ranges = split_members(first, last, workers, lanes)
-        solved = not sum_in_threads(
-            lambda some: not advance_tables(name, structure, run, *some, stop), ranges, workers, stop
-        )
-    if (raised := raised_by(tables.keepalive)) is not None:
+    in_python = callable(name) or getattr(structure, "in_python", False)
+    # Flows and steps in Python multiply matrices of the size of the state.
+    with limited_blas_threads(run.size if in_python else 0, workers):
+        if callable(name):
+            for start in range(first, last, lanes):
+                name(structure, run, start, min(start + lanes, last))
+            return True
+        if workers == 1 or last - first <= lanes:
+            solved = advance_tables(name, structure, run, first, last, stop)
+        else:
+            ranges = split_members(first, last, workers, lanes)
+            solved = not sum_in_threads(
+                lambda some: not advance_tables(name, structure, run, *some, stop), ranges, workers, stop
+            )
+    if (raised := raised_by((*tables.keepalive, *getattr(structure, "raising", ())))) is not None:
         raise raised
     return solved
 

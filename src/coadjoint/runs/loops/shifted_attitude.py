@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable, Sequence
 from ctypes import addressof
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import NamedArrays, as_c_double
-from coadjoint.kernels.tables.compiled import as_structure, packer
+from coadjoint.kernels.loop import NEVER_STOPPED, NamedArrays, as_c_double, kernel_loop, raise_outcome
+from coadjoint.kernels.tables.compiled import address, as_structure, packer
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
@@ -32,7 +32,6 @@ Floats = NDArray[np.float64]
 Shift = tuple[tuple[Polynomial, float], ...]
 
 FINITE_GROWTH = 700.0  # exp overflows beyond 709
-LARGEST_BLOCK = 16  # largest matrix whose exponential is differentiated in all directions at once, by larger blocks
 # Multiplications per call; interrupts are handled between calls.
 MAX_PRODUCTS = 2e7
 
@@ -201,82 +200,49 @@ class AttitudeDerivatives:
     def shifted(self) -> bool:
         return self.factors.shape[-1] > 0
 
-    def _generator(self, x0: Floats, factors: Floats) -> Floats:
-        return np.asarray(np.einsum("c,j,cjab->ab", factors, x0, self.of_casimir))
-
-    def element(self, x0: Floats, A0: Floats, t: float, G: Floats) -> Floats:
-        """Return the attitude (d, d) of one member of a shifted run at a time since the start."""
-        from scipy.linalg import expm
-
-        return np.asarray(A0 @ expm(t * self._generator(x0, self.factors)) @ G)
-
     def tangents(
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
     ) -> Floats:
         """Return the tangents (points, members, k, d, d) along k directions, from arrays with an axis of members."""
         if not self.shifted:
             return dG
-        out = np.empty(dG.shape)
-        for m in range(len(x0)):
-            own, of_own = self._of_member(m), factors[m] if factors.ndim == 3 else factors
-            X = self._generator(x0[m], own)
-            dX = np.einsum("c,kj,cjab->kab", own, dx0[m], self.of_casimir)
-            dX += np.einsum("kc,j,cjab->kab", of_own, x0[m], self.of_casimir)
-            # The derivative of the exponential is linear: many directions are combined from those of a basis.
-            basis, weights = dX, np.eye(len(dX))
-            if len(dX) > x0.shape[1] + len(own):
-                of_x0 = np.einsum("c,cjab->jab", own, self.of_casimir)
-                of_factors = np.einsum("j,cjab->cab", x0[m], self.of_casimir)
-                basis, weights = np.concatenate([of_x0, of_factors]), np.concatenate([dx0[m], of_own], axis=1)
-            for point, t in enumerate(times.tolist()):
-                E, of_basis = _exponentials(t * X, t * basis)
-                dE = np.tensordot(weights, of_basis, axes=1)
-                out[point, m] = dA0[m] @ (E @ G[point, m]) + A0[m] @ (dE @ G[point, m] + E @ dG[point, m])
+        out, stride = np.empty(dG.shape), factors[0].size if factors.ndim == 3 else 0
+        numbers = [np.ascontiguousarray(one) for one in (dx0, dA0, factors, dG)]
+        kernel = kernel_loop("attitude_tangents")
+        first, second, third, fourth = (address(one) for one in numbers)
+        given = ctypes.c_int64(dG.shape[2]), first, second, third, ctypes.c_int64(stride), fourth, address(out)
+        outcome = kernel(self._attitudes(x0, A0, times, G), *given, ctypes.byref(NEVER_STOPPED))
+        if outcome:
+            raise_outcome(outcome)
         return out
 
     def cotangents(
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, of_attitudes: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the cotangents of x0, A0, the factors, and the elements of the loop, for those of the attitudes."""
-        from scipy.linalg import expm, expm_frechet
-
         of_x0, of_A0, of_factors = np.zeros_like(x0), np.zeros_like(A0), np.zeros((len(x0), self.factors.shape[-1]))
         if not self.shifted:
             return of_x0, of_A0, of_factors, of_attitudes
-        of_G = np.empty_like(of_attitudes)
-        for m, (point, t) in product(range(len(x0)), enumerate(times.tolist())):
-            own = self._of_member(m)
-            X, of_A = self._generator(x0[m], own), of_attitudes[point, m]
-            E = expm(t * X)
-            of_G[point, m] = (A0[m] @ E).T @ of_A
-            of_A0[m] += of_A @ (E @ G[point, m]).T
-            if t and of_A.any():
-                of_E = A0[m].T @ of_A @ G[point, m].T
-                of_X = t * expm_frechet(t * X.T, of_E, compute_expm=False)
-                by_pair = np.einsum("ab,cjab->cj", of_X, self.of_casimir)
-                of_x0[m] += own @ by_pair
-                of_factors[m] += by_pair @ x0[m]
-        return of_x0, of_A0, of_factors, of_G
+        found = of_x0, of_A0, of_factors, np.empty_like(of_attitudes)
+        given = np.ascontiguousarray(of_attitudes)
+        kernel = kernel_loop("attitude_cotangents")
+        run = self._attitudes(x0, A0, times, G)
+        outcome = kernel(run, address(given), *map(address, found), ctypes.byref(NEVER_STOPPED))
+        if outcome:
+            raise_outcome(outcome)
+        return found
 
-    def _of_member(self, m: int) -> Floats:
-        return np.asarray(self.factors[m] if self.factors.ndim == 2 else self.factors)
-
-
-def _exponentials(X: Floats, directions: Floats) -> tuple[Floats, Floats]:
-    """Return the exponential of X and its derivatives along directions (k, d, d)."""
-    from scipy.linalg import expm, expm_frechet
-
-    count, d = len(directions), len(X)
-    if d > LARGEST_BLOCK:
-        nonzero = directions.any(axis=(1, 2))
-        derivatives = np.zeros((count, d, d))
-        for k in np.flatnonzero(nonzero):
-            derivatives[k] = expm_frechet(X, directions[k], compute_expm=False)
-        return expm(X), derivatives
-    blocks = np.zeros((count, 2 * d, 2 * d))
-    blocks[:, :d, :d] = blocks[:, d:, d:] = X
-    blocks[:, :d, d:] = directions
-    return expm(X), expm(blocks)[:, :d, d:]
+    def _attitudes(self, x0: Floats, A0: Floats, times: Floats, G: Floats) -> Any:
+        """Return the attitudes as the kernels read them."""
+        arrays = [
+            np.ascontiguousarray(one, dtype=np.float64) for one in (self.of_casimir, self.factors, x0, A0, times, G)
+        ]
+        turning, factors, *rest = (one.ctypes.data for one in arrays)
+        casimirs, n, d = self.of_casimir.shape[:3]
+        stride = casimirs if self.factors.ndim == 2 else 0
+        run = (ctypes.c_int64 * 12)(n, d, casimirs, len(times), len(x0), turning, factors, stride, *rest)
+        run.kept = arrays  # type: ignore[attr-defined]
+        return ctypes.byref(run)
 
 
 def _dual_coadjoint(system: Any) -> Floats:

@@ -67,6 +67,12 @@ CODES(Solver, SOLVERS)
     _(MODE_TRANSPORT, 12) _(SELECTIVE_DECAY, 13)
 CODES(ForceKind, FORCES)
 
+// How the flow of a force is differentiated: by its matrix, a flow along vectors, formulas on orbits, or in Python.
+namespace derivatives {
+#define FLOW_DERIVATIVES(_) _(AFFINE, 0) _(ALONG, 1) _(ON_ORBIT, 2) _(IN_PYTHON, 3)
+CODES(FlowDerivative, FLOW_DERIVATIVES)
+}  // namespace derivatives
+
 // The modes of a matrix: harmonics of the sphere, or waves of the torus.
 #define MODES(_) _(HARMONICS, 0) _(WAVES, 1)
 CODES(ModeKind, MODES)

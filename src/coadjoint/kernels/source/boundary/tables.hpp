@@ -221,6 +221,31 @@ TABLE(ForwardRun, FORWARD_RUN_FIELDS)
     _(numbers, group_cotangents) _(numbers, coefficients) _(numbers, deviations) _(flag, undone) _(integer, threads)
 TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
 
+// How the flow of a force is differentiated. Its coefficients are `own` from `first` on, and then `moved` more:
+// AFFINE: those of a damping are its rates and its aim, and those of a constant torque its components; that of another
+// kind is x -> x + E x + b, and `matrix` has E, of a shape, for each of the inner loops. ALONG: at `along` is the table of
+// the flow of a state and a vector side by side, which becomes its tangent. ON_ORBIT: second derivatives of functions in H
+// are at `hessians`; the coefficients are the logarithms of the directions of the noise and of the damping, by
+// coordinate, and those of the terms `added` of the derivative of H, by `functions`. IN_PYTHON: by `function`, which other
+// kinds call for coefficients `called` alone, if the flow `depends` on some, and where they do not agree with differences.
+// Tables of flows with moved parameters are at `nearby`, eight for each of the `moved` coefficients, at the nodes 1, -1, 2,
+// ..., -4 in units of `distance`; `numbered` are their numbers among those that Python knows.
+#define FORCE_DERIVATIVES_FIELDS(_)                                                                                  \
+    _(integer, kind) _(integer, first) _(integer, own) _(integer, shape) _(numbers, matrix)                        \
+    _(integer, along) _(addresses, hessians) _(Terms, added) _(addresses, functions) _(integer, function)            \
+    _(flag, depends) _(integer, moved) _(integers, nearby) _(numbers, distance) _(integers, numbered)
+TABLE(ForceDerivatives, FORCE_DERIVATIVES_FIELDS)
+
+// Steps with forces that are differentiated: the address of their tables, `StepTables`; for each of the inner loops the
+// addresses of the functions that carry tangents and cotangents, and of their tables; of each flow that of
+// `ForceDerivatives`; and the factors of the Casimirs subtracted from H, which turn a stored element by the exponential of
+// the sum of factors[c] x[j] turning[c, j] times the length. The `coefficients` are those of the inner loops, those by which
+// flows are differentiated in Python, `called`, those of the flows, and these factors.
+#define FORCED_DERIVATIVES_FIELDS(_)                                                                                 \
+    _(integer, forced) _(integers, inner) _(integers, flows) _(integer, inner_coefficients) _(integer, called)       \
+    _(integer, coefficients) _(integer, casimirs) _(numbers, factors) _(numbers, turning)
+TABLE(ForcedDerivatives, FORCED_DERIVATIVES_FIELDS)
+
 #define UNSHIFT_FIELDS(_)                                                                                            \
     _(integer, size) _(integer, dim) _(integer, components) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
     _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \

@@ -22,8 +22,10 @@ class Force {
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
-    Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
-        : table(table), field(field), constants(constants), n(field.size), workspace(field),
+    // The state may have further numbers behind it, `size` with them, if the flow is a function.
+    Force(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants,
+          int64_t size = 0)
+        : table(table), field(field), constants(constants), n(size ? size : field.size), workspace(field),
           one(std::max<int64_t>(n + 1 + (table.kind == BY_FLOW ? 2 * table.extent * table.sets : 0), 4)), two(n),
           three(n), four(n), five(n), six(n), matrix(matrix_force(table)) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));

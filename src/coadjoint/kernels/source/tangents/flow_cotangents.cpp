@@ -221,13 +221,15 @@ static void run_members(const FlowCotangents& all, const C& constants, const Bac
 }
 
 // Carry the cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
-EXPORT int64_t flow_cotangents(const FlowCotangents* tables, const BackwardRun* run, int64_t first, int64_t last,
-                               const int64_t* stop) {
+static int64_t carry_backward(const FlowCotangents& tables, const BackwardRun& run, int64_t first, int64_t last,
+                              InterruptCheck& interrupts) {
     return run_in_lanes<MEMBER_LANES>(
-        *tables, run->size, first, last, stop, [&](auto together, const auto& constants, auto&&... rest) {
+        tables, run.size, first, last, interrupts, [&](auto together, const auto& constants, auto&&... rest) {
             typedef std::conditional_t<together(), ManyMembers, double> A;
-            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(*tables, constants, *run, rest...);
+            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(tables, constants, run, rest...);
         });
 }
+
+EXPORT_DERIVATIVES(flow_cotangents, FlowCotangents, BackwardRun, carry_backward)
 
 }  // namespace coadjoint

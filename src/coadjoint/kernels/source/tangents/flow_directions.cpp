@@ -66,14 +66,16 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
 }
 
 // Carry the tangent vectors of the members first to last - 1; return zero or the outcome.
-EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* run, int64_t first, int64_t last,
-                               const int64_t* stop) {
+static int64_t carry_forward(const FlowCotangents& tables, const ForwardRun& run, int64_t first, int64_t last,
+                             InterruptCheck& interrupts) {
     typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
     return run_in_lanes<NATIVE>(
-        *tables, run->size, first, last, stop, [&](auto together, const auto& constants, auto&&... rest) {
+        tables, run.size, first, last, interrupts, [&](auto together, const auto& constants, auto&&... rest) {
             typedef std::conditional_t<together(), Members, double> A;
-            run_members<A, std::conditional_t<together(), Members, TangentLanes>>(*tables, constants, *run, rest...);
+            run_members<A, std::conditional_t<together(), Members, TangentLanes>>(tables, constants, run, rest...);
         });
 }
+
+EXPORT_DERIVATIVES(flow_directions, FlowCotangents, ForwardRun, carry_forward)
 
 }  // namespace coadjoint

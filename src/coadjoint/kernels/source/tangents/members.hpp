@@ -9,8 +9,8 @@ namespace coadjoint {
 // Call `run(together, constants, first, count, interrupts)` for the members first to last - 1, `lanes` of them at a time or
 // each alone; return zero or the outcome.
 template <int64_t lanes, class Run>
-int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, int64_t last, const int64_t* stop, Run run) {
-    InterruptCheck interrupts(stop);
+int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, int64_t last, InterruptCheck& interrupts,
+                     Run run) {
     return outcome_of([&]() -> int64_t {
         while (first < last && (tables.stride || (size <= WIDEST && last - first >= MIN_LANES))) {
             const int64_t count = std::min<int64_t>(lanes, last - first);
@@ -24,6 +24,16 @@ int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, 
         return 0;
     });
 }
+
+// The entry points of a loop with derivatives: for Python, and inside of another loop.
+#define EXPORT_DERIVATIVES(name, Tables, Run, carry)                                                                  \
+    EXPORT int64_t name(const Tables* tables, const Run* run, int64_t first, int64_t last, const int64_t* stop) {     \
+        InterruptCheck interrupts(stop);                                                                             \
+        return carry(*tables, *run, first, last, interrupts);                                                        \
+    }                                                                                                                \
+    EXPORT int64_t name##_inside(const Tables* tables, const Run* run, int64_t first, int64_t last) {                 \
+        return carry(*tables, *run, first, last, InterruptCheck::of_this_call());                                    \
+    }
 
 // Visitors of the numbers in lanes, which copy them from an array, or to it.
 inline auto read_entries(const double* from) {

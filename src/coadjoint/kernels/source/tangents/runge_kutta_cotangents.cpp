@@ -147,27 +147,28 @@ static void backward_members(const RungeKuttaCotangents& all, const BackwardRun&
     }
 }
 
-template <class Run, class Move>
-static int64_t of_members(const RungeKuttaCotangents& all, const Run& run, int64_t first, int64_t last,
-                          const int64_t* stop, Move move) {
-    InterruptCheck interrupts(stop);
+template <class Move>
+static int64_t outcome_of_derivatives(Move move) {
     return outcome_of([&]() -> int64_t {
         try {
-            return move(all, run, first, last, interrupts), 0;
+            return move(), 0;
         } catch (const NotSolved&) {
             return UNSOLVED;
         }
     });
 }
 
-EXPORT int64_t runge_kutta_directions(const RungeKuttaCotangents* tables, const ForwardRun* run, int64_t first,
-                                      int64_t last, const int64_t* stop) {
-    return of_members(*tables, *run, first, last, stop, forward_members);
+static int64_t carry_forward(const RungeKuttaCotangents& tables, const ForwardRun& run, int64_t first, int64_t last,
+                             InterruptCheck& interrupts) {
+    return outcome_of_derivatives([&] { forward_members(tables, run, first, last, interrupts); });
 }
 
-EXPORT int64_t runge_kutta_cotangents(const RungeKuttaCotangents* tables, const BackwardRun* run, int64_t first,
-                                      int64_t last, const int64_t* stop) {
-    return of_members(*tables, *run, first, last, stop, backward_members);
+static int64_t carry_backward(const RungeKuttaCotangents& tables, const BackwardRun& run, int64_t first, int64_t last,
+                              InterruptCheck& interrupts) {
+    return outcome_of_derivatives([&] { backward_members(tables, run, first, last, interrupts); });
 }
+
+EXPORT_DERIVATIVES(runge_kutta_directions, RungeKuttaCotangents, ForwardRun, carry_forward)
+EXPORT_DERIVATIVES(runge_kutta_cotangents, RungeKuttaCotangents, BackwardRun, carry_backward)
 
 }  // namespace coadjoint

@@ -1,0 +1,283 @@
+// Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
+#pragma once
+
+#include "tangents/orbit_derivatives.hpp"
+#include "tangents/shift_factor.hpp"
+
+namespace coadjoint {
+
+// The flow of a force: when it begins, how long, which one, on which side of the substep, by which of the inner loops.
+struct FlowTime {
+    double t, tau;
+    int64_t flow, side, loop, member;
+};
+
+// The flow `flow` of the member from the state x, called in Python: with `count` vectors, which become their tangents with
+// the changes by directions (count, called) of the coefficients; with none, the cotangent `vectors`, which is pulled back,
+// and the cotangents of the coefficients, which are added to `directions`. A negative flow, -1 - flow, is differentiated by
+// the state too. A negative count, -1 - k, asks for the derivative by the coefficient k, in place of the vectors. Zero
+// unless it raised an exception.
+typedef int64_t (*DerivativeInPython)(int64_t flow, int64_t side, int64_t member, double t, double tau, const double* x,
+                                      int64_t count, double* vectors, double* directions);
+
+struct NotDifferentiated {};  // thrown if a derivative is not found
+
+class ForceDerivative {
+  public:
+    ForceDerivative(const ForceDerivatives& table, const ForceTable& force, const StepTables& tables,
+                    const ForcedDerivatives& all)
+        : table(table), force(force), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n) {
+        if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
+            exponential.reset(new MatrixExponential(n));
+        if (table.kind == derivatives::ALONG)
+            along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
+        if (table.kind == derivatives::ON_ORBIT) orbit.reset(new OrbitDerivative(force, tables.field, table));
+        if (table.moved) here.reset(new Force(force, tables.field, tables.group, SHARED));
+        for (int64_t k = 0; k < NODES * table.moved; ++k)
+            nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group,
+                                          SHARED));
+    }
+
+    // Replace vectors (count, n) at a state by their tangents after the flow, along directions (count, all coefficients).
+    void push(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
+        const double* const own = directions + table.first;
+        const bool whole = is_whole(at, x);
+        if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
+        if (table.kind == derivatives::ALONG && !whole)
+            for (int64_t v = 0; v < count; ++v) move_along(at, x, vectors + v * n, vectors + v * n);
+        if (table.kind == derivatives::ON_ORBIT && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients))
+            throw NotDifferentiated();
+        if (whole || table.depends) {
+            called.resize(count * all.called);
+            for (int64_t v = 0; v < count; ++v)
+                std::copy_n(directions + v * all.coefficients + all.inner_coefficients, all.called,
+                            called.data() + v * all.called);
+            call(at, whole, x, count, vectors, called.data());
+        }
+        for (int64_t k = 0; k < table.moved; ++k) {
+            const double* along = own + table.own + k;
+            bool directed = false;
+            for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
+            if (!directed) continue;
+            difference(at, x, k);
+            for (int64_t v = 0; v < count; ++v)
+                for (int64_t i = 0; i < n; ++i)
+                    vectors[v * n + i] = fma(along[v * all.coefficients], sum[i], vectors[v * n + i]);
+        }
+    }
+
+    // Replace the cotangent of the state after the flow by that of the state x before; add those of the coefficients.
+    void pull(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
+        double* const own = by_coefficients + table.first;
+        for (int64_t k = 0; k < table.moved; ++k) {
+            difference(at, x, k);
+            for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
+        }
+        const bool whole = is_whole(at, x);
+        if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
+        if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
+        if (table.kind == derivatives::ALONG && !whole) {
+            std::copy_n(row, n, moved.data());
+            for (int64_t j = 0; j < n; ++j) {
+                std::fill(sum.begin(), sum.end(), 0.0);
+                sum[j] = 1.0;
+                move_along(at, x, sum.data(), sum.data());
+                row[j] = 0.0;
+                for (int64_t i = 0; i < n; ++i) row[j] = fma(sum[i], moved[i], row[j]);
+            }
+        }
+        if (table.kind == derivatives::ON_ORBIT && !orbit->pull(x, at.t, at.tau, at.member, row, own))
+            throw NotDifferentiated();
+    }
+
+  private:
+    static constexpr MemberConstants SHARED{1, 0};
+    // Nodes on both sides, and weights, of differences of order eight.
+    static constexpr int64_t NODES = 8;
+    static constexpr double AT_ZERO[] = {4.0 / 5.0, -2.0 / 5.0, 4.0 / 35.0, -1.0 / 70.0};
+    static constexpr double SMOOTH = 0x1p-23, ROUNDING = 0x1p-49;  // part of the change and of the state by which it is off
+    static constexpr double AGREEMENT = 0x1p-20;  // of tangents and differences, as for flows in Python
+    static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
+    const ForceDerivatives& table;
+    const ForceTable& force;
+    const ForcedDerivatives& all;
+    const int64_t n;
+    const double* growth = nullptr;
+    double grown_for = std::numeric_limits<double>::quiet_NaN();  // the duration of `grown`
+    std::unique_ptr<MatrixExponential> exponential;
+    std::unique_ptr<Force> along;
+    std::unique_ptr<OrbitDerivative> orbit;
+    std::unique_ptr<Force> here;
+    std::vector<std::unique_ptr<Force>> nearby;
+    std::vector<double> moved, sum, beside, called, grown, changes, scaled;
+
+    // Set `growth` to E of x -> x + E (x - aim) + b.
+    void find_growth(const FlowTime& at) {
+        if (force.kind != DAMPING) {
+            growth = table.matrix + at.loop * entries_of(table.shape);
+            return;
+        }
+        if (at.tau == grown_for) return;
+        grown_for = at.tau;
+        const int64_t count = entries_of(force.shape);
+        grown.resize(count);
+        if (!exponential)
+            for (int64_t i = 0; i < count; ++i) grown[i] = growth_by(-at.tau * force.rate[i]).expm1;
+        else {
+            std::copy_n(exponential->of(-at.tau, force.rate), count, grown.data());
+            for (int64_t i = 0; i < n; ++i) grown[i * (n + 1)] -= 1.0;
+        }
+        growth = grown.data();
+    }
+
+    int64_t entries_of(int64_t shape) const { return shape == FULL ? n * n : shape == DIAGONAL ? n : 1; }
+    int64_t shape() const { return force.kind == DAMPING ? force.shape : table.shape; }
+
+    // to += factor matrix from
+    void apply(const double* matrix, const double* from, double* to, double factor = 1.0) const {
+        for (int64_t i = 0; i < n; ++i)
+            if (shape() == FULL)
+                for (int64_t j = 0; j < n; ++j) to[i] = fma(factor * matrix[i * n + j], from[j], to[i]);
+            else
+                to[i] = fma(factor * matrix[shape() == DIAGONAL ? i : 0], from[i], to[i]);
+    }
+
+    // The coefficients of a damping are its rates and its aim; those of a constant torque are its components.
+    void push_affine(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
+        find_growth(at);
+        for (int64_t v = 0; v < count; ++v) {
+            double* const vector = vectors + v * n;
+            const double* along = directions + v * all.coefficients;
+            std::copy_n(vector, n, moved.data());
+            apply(growth, moved.data(), vector);
+            if (!table.own) continue;
+            if (force.kind == DAMPING) {
+                push_rates(at, x, along, vector);
+                along += entries_of(force.shape);
+                apply(growth, along, vector, -1.0);
+            } else {
+                for (int64_t i = 0; i < n; ++i) vector[i] = fma(at.tau, along[i], vector[i]);
+            }
+        }
+    }
+
+    void push_rates(const FlowTime& at, const double* x, const double* along, double* vector) {
+        const int64_t count = entries_of(force.shape);
+        if (std::all_of(along, along + count, [](double entry) { return entry == 0.0; })) return;
+        changes.resize(count), scaled.resize(count);
+        for (int64_t i = 0; i < n; ++i) moved[i] = x[i] - force.aim[i];
+        for (int64_t i = 0; i < count; ++i) scaled[i] = -at.tau * along[i];
+        if (exponential) exponential->along(scaled.data(), changes.data());
+        else
+            for (int64_t i = 0; i < count; ++i) changes[i] = scaled[i] * (1.0 + growth[i]);
+        apply(changes.data(), moved.data(), vector);
+    }
+
+    void pull_affine(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
+        find_growth(at);
+        if (table.own && force.kind == DAMPING) pull_damping(at, x, row, by_coefficients);
+        if (table.own && force.kind != DAMPING)
+            for (int64_t i = 0; i < n; ++i) by_coefficients[i] = fma(at.tau, row[i], by_coefficients[i]);
+        std::copy_n(row, n, moved.data());
+        add_transposed(moved.data(), row);
+    }
+
+    void pull_damping(const FlowTime& at, const double* x, const double* row, double* by_coefficients) {
+        const int64_t count = entries_of(force.shape);
+        changes.assign(count, 0.0), scaled.resize(count);
+        for (int64_t i = 0; i < n; ++i) {
+            moved[i] = x[i] - force.aim[i];
+            if (force.shape != FULL) changes[force.shape == DIAGONAL ? i : 0] += row[i] * moved[i];
+        }
+        for (int64_t i = 0; exponential && i < n; ++i)
+            for (int64_t j = 0; j < n; ++j) changes[i * n + j] = row[i] * moved[j];
+        if (exponential) exponential->pull(changes.data(), scaled.data());
+        else
+            for (int64_t i = 0; i < count; ++i) scaled[i] = changes[i] * (1.0 + growth[i]);
+        for (int64_t i = 0; i < count; ++i) by_coefficients[i] = fma(-at.tau, scaled[i], by_coefficients[i]);
+        std::fill(sum.begin(), sum.end(), 0.0);
+        add_transposed(row, sum.data());
+        for (int64_t i = 0; i < n; ++i) by_coefficients[count + i] -= sum[i];
+    }
+
+    // to += E^T from
+    void add_transposed(const double* from, double* to) const {
+        for (int64_t i = 0; i < n; ++i)
+            if (shape() == FULL)
+                for (int64_t j = 0; j < n; ++j) to[j] = fma(growth[i * n + j], from[i], to[j]);
+            else
+                to[i] = fma(growth[shape() == DIAGONAL ? i : 0], from[i], to[i]);
+    }
+
+    // Set out to the tangent of a vector, or to the state after the flow.
+    void move_along(const FlowTime& at, const double* x, const double* vector, double* out, bool tangent = true) {
+        beside.assign(x, x + n);
+        beside.insert(beside.end(), vector, vector + n);
+        if (along->flow(beside.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+        std::copy_n(beside.data() + (tangent ? n : 0), n, out);
+    }
+
+    // Set `sum` to the derivative of the flow by the moved parameter k: of order eight, unless the value at zero that belongs
+    // to it is not that of the flow, so that nearer ones are taken in Python.
+    void difference(const FlowTime& at, const double* x, int64_t k) {
+        std::fill(sum.begin(), sum.end(), 0.0);
+        beside.assign(n, 0.0);
+        for (int64_t node = 0; node < NODES; ++node) {
+            move(*nearby[k * NODES + node], at, x, moved);
+            const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            for (int64_t i = 0; i < n; ++i) {
+                sum[i] = fma(weight, moved[i], sum[i]);
+                beside[i] = fma(AT_ZERO[node / 2], moved[i], beside[i]);
+            }
+        }
+        move(*here, at, x, moved);
+        double off = 0.0, change = 0.0, size = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            off = larger(off, absolute(beside[i] - moved[i]));
+            change = larger(change, absolute(sum[i]));
+            size = larger(size, absolute(moved[i]));
+        }
+        if (off <= SMOOTH * change + ROUNDING * size) {
+            for (int64_t i = 0; i < n; ++i) sum[i] /= table.distance[k];
+            return;
+        }
+        call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
+    }
+
+    void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to) {
+        to.assign(x, x + n);
+        if (flow.flow(to.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    }
+
+    // Whether the function in Python differentiates the flow by the state: tangents by a complex function are compared with
+    // a difference in one direction, which they agree with where the function is analytic.
+    bool is_whole(const FlowTime& at, const double* x) {
+        if (table.kind != derivatives::ALONG) return table.kind == derivatives::IN_PYTHON;
+        double size = 0.0;
+        for (int64_t i = 0; i < n; ++i) size = larger(size, absolute(x[i]));
+        const double length = DIFFERENCE * (size > 0.0 ? size : 1.0);
+        std::vector<double> direction(n), tangent(n), ends[2];
+        for (int64_t i = 0; i < n; ++i) direction[i] = std::cos(1.0 + double(i));
+        move_along(at, x, direction.data(), tangent.data());
+        for (int side = 0; side < 2; ++side) {
+            std::vector<double>& end = ends[side];
+            end.assign(x, x + n);
+            for (int64_t i = 0; i < n; ++i) end[i] = fma(side ? -length : length, direction[i], end[i]);
+            const std::vector<double> start = end, none(n, 0.0);
+            move_along(at, start.data(), none.data(), end.data(), false);
+        }
+        for (int64_t i = 0; i < n; ++i) {
+            const double difference = (ends[0][i] - ends[1][i]) / (2.0 * length);
+            if (!(absolute(tangent[i] - difference) <= AGREEMENT * (1.0 + absolute(tangent[i])))) return true;
+        }
+        return false;
+    }
+
+    void call(const FlowTime& at, bool whole, const double* x, int64_t count, double* vectors, double* directions) const {
+        InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
+        const auto function = reinterpret_cast<DerivativeInPython>(table.function);
+        if (function(whole ? -1 - at.flow : at.flow, at.side, at.member, at.t, at.tau, x, count, vectors, directions)) throw NotDifferentiated();
+    }
+};
+
+}  // namespace coadjoint

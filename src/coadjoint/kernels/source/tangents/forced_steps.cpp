@@ -1,0 +1,358 @@
+// Whole runs with forces with their derivatives, for Python: half flows of the forces around steps of another loop.
+#include "steps/forced_layout.hpp"
+#include "steps/inner_step.hpp"
+#include "tangents/force_derivatives.hpp"
+
+namespace coadjoint {
+
+namespace {
+
+// The functions that carry tangents and cotangents of members through steps of a loop, and its tables.
+struct InnerDerivative {
+    typedef int64_t (*Carry)(const void* tables, const void* run, int64_t first, int64_t last);
+    Carry forward, backward;
+    const void* tables;
+
+    template <class Run>
+    void operator()(Carry carry, const Run& run) const {
+        const int64_t outcome = carry(tables, &run, 0, run.members);
+        if (outcome == NO_MEMORY) throw std::bad_alloc();
+        if (outcome == INTERRUPTED) throw Interrupted{};
+        if (outcome) throw NotDifferentiated();
+    }
+};
+
+// Some members of a run, side by side.
+class ForcedSteps {
+  public:
+    ForcedSteps(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t first, int64_t count, int64_t threads)
+        : all(all), tables(*reinterpret_cast<const StepTables*>(all.forced)), layout(tables.whole), n(size), square(square),
+          d(square ? tables.group.size : 0), first(first), count(count), threads(threads), shifted(square && all.casimirs),
+          shift(n, d, shifted ? all.casimirs : 0, all.factors, all.turning), x(count * n), groups(count * square),
+          started(count * square), zeros(count * std::max(n, square)), status(count), states(count),
+          work(count * (16 * work_of(tables.field) + 64 * n * int64_t(1 + layout.forces.size()))) {
+        for (const int64_t* loop : layout.loops) {
+            std::vector<int64_t> plain(loop, loop + ForcedLayout::ADDRESSES);
+            if (shifted) plain.back() = 0;
+            inner.emplace_back(new InnerStep(plain.data(), n, square, square ? 1 : count));
+        }
+        for (size_t k = 0; k < layout.loops.size(); ++k)
+            derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
+                                   reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]),
+                                   reinterpret_cast<const void*>(all.inner[3 * k + 2])});
+        for (size_t j = 0; j < layout.forces.size(); ++j) {
+            forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
+            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *layout.forces[j],
+                                                   tables, all));
+        }
+    }
+
+    void forward(const ForwardRun& run) {
+        const int64_t carried = run.carried, rows = run.apart ? count * carried : carried;
+        const double* const directions = run.coefficients + (run.apart ? first * carried * all.coefficients : 0);
+        std::vector<double> of_inner(rows * all.inner_coefficients);
+        for (int64_t r = 0; r < rows; ++r)
+            std::copy_n(directions + r * all.coefficients, all.inner_coefficients,
+                        of_inner.data() + r * all.inner_coefficients);
+        double* const vectors = run.tangents + first * carried * n;
+        double* const of_groups = run.group_tangents + first * carried * square;
+        std::vector<double> moved(count * carried * n), after(count * carried * square), started_with(after), changes,
+            product(square);
+        begin(run);
+        int64_t mark = 0;
+        const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
+        const auto push = [&](const FlowTime& at, int64_t b) {
+            flows[at.flow]->push(at, x.data() + b * n, vectors + b * carried * n, carried, along(b));
+            apply(at, x.data() + b * n);
+        };
+        for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+            each_substep(run.t0 + double(k - 1) * run.h, run.h, [&](const Substep& one, double t, double h) {
+                each_flow(one, 0, run.t0 + double(k - 1) * run.h, run.h, push);
+                const std::vector<double> before = x;
+                take(one, t, h);
+                std::copy_n(vectors, moved.size(), moved.data());
+                if (!shifted) std::copy_n(of_groups, after.size(), started_with.data());
+                else std::fill(started_with.begin(), started_with.end(), 0.0);
+                const ForwardRun of_step{n, square, count, carried, t, h, 0, 1, const_cast<double*>(before.data()),
+                                         zeros.data(), started.data(), 1, &ONE_STEP, vectors, after.data(), moved.data(),
+                                         started_with.data(), of_inner.data(), threads, run.apart};
+                // The vectors before the step are still needed for the factor of the shift.
+                const std::vector<double> along_momenta(shifted ? std::vector<double>(vectors, vectors + moved.size())
+                                                                : std::vector<double>());
+                derivatives[one.loop](derivatives[one.loop].forward, of_step);
+                if (!shifted) {
+                    std::copy_n(after.data(), after.size(), of_groups);
+                } else {
+                    for (int64_t b = 0; b < count; ++b) {
+                        const double* const factor = shift.at(before.data() + b * n, h);
+                        changes.resize(carried * square);
+                        shift.along(carried, along_momenta.data() + b * carried * n, along(b) + first_factor(),
+                                    all.coefficients, changes.data());
+                        for (int64_t v = 0; v < carried; ++v)
+                            shifted_tangent(b, factor, changes.data() + v * square, after.data() + (b * carried + v) * square,
+                                            of_groups + (b * carried + v) * square, product.data());
+                        shifted_group(b, factor, product.data());
+                    }
+                }
+                each_flow(one, 1, run.t0 + double(k - 1) * run.h, run.h, push);
+            });
+            if (mark == run.marked || run.marks[mark] != k) continue;
+            const int64_t saved = (mark++ * run.members + first) * carried;
+            std::copy_n(vectors, count * carried * n, run.at_points + saved * n);
+            std::copy_n(of_groups, count * carried * square, run.at_groups + saved * square);
+        }
+    }
+
+    void backward(const BackwardRun& run) {
+        const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
+        // The states before the first flows, before the step, and after it, the elements before the step, and those of its
+        // loop after it.
+        const int64_t each = count * (3 * n + (shifted ? 2 : 1) * square);
+        std::vector<double> held(total * each);
+        const auto held_at = [&](int64_t k, const Substep& one) {
+            return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
+        };
+        begin(run);
+        const auto move = [&](const FlowTime& at, int64_t b) { apply(at, x.data() + b * n); };
+        for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+            const double start = run.t0 + double(k - 1) * run.h;
+            each_substep(start, run.h, [&](const Substep& one, double t, double h) {
+                double* const to = held_at(k, one);
+                std::copy_n(x.data(), count * n, to);
+                each_flow(one, 0, start, run.h, move);
+                std::copy_n(x.data(), count * n, to + count * n);
+                std::copy_n(groups.data(), count * square, to + 3 * count * n);
+                take(one, t, h);
+                std::copy_n(x.data(), count * n, to + 2 * count * n);
+                if (shifted) std::copy_n(ends.data(), count * square, to + count * (3 * n + square));
+                for (int64_t b = 0; shifted && b < count; ++b)
+                    shifted_group(b, shift.at(to + (count + b) * n, h), change.data());
+                each_flow(one, 1, start, run.h, move);
+            });
+        }
+        double* const rows = run.cotangents + first * n;
+        double* const of_groups = run.group_cotangents + first * square;
+        double* const by_coefficients = run.coefficients + first * all.coefficients;
+        std::vector<double> of_inner(count * all.inner_coefficients), after(count * n), group_after(count * square),
+            deviations(count), through(count * n);
+        int64_t mark = run.marked;
+        for (int64_t k = run.k1; k > run.k0; --k) {
+            const double start = run.t0 + double(k - 1) * run.h;
+            if (mark > 0 && run.marks[mark - 1] == k) {
+                const int64_t saved = --mark * run.members + first;
+                for (int64_t i = 0; i < count * n; ++i) rows[i] += run.at_points[saved * n + i];
+                for (int64_t e = 0; e < count * square; ++e) of_groups[e] += run.at_groups[saved * square + e];
+            }
+            for (int64_t s = substeps; s-- > 0;) {
+                const Substep& one = layout.substeps[s];
+                double* const from = held_at(k, one);
+                const double t = start + one.begin * run.h, h = one.length * run.h;
+                InterruptCheck::of_this_call().after(4 * work);
+                pull_flows(one, 1, start, run.h, from + 2 * count * n, rows, by_coefficients);
+                std::copy_n(rows, count * n, after.data());
+                std::copy_n(of_groups, count * square, group_after.data());
+                std::fill_n(rows, count * n, 0.0);
+                std::fill_n(through.data(), count * n, 0.0);
+                double* const before = from + count * n;
+                double* const element = from + 3 * count * n;
+                if (shifted) std::copy_n(element + count * square, count * square, ends.data());
+                for (int64_t b = 0; shifted && b < count; ++b)
+                    shifted_cotangents(b, shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
+                                       of_groups + b * square, through.data() + b * n,
+                                       by_coefficients + b * all.coefficients + first_factor());
+                std::vector<double>& elements = shifted ? units() : started;
+                if (!shifted) std::copy_n(element, count * square, started.data());
+                std::vector<double> of_element(count * square);
+                const BackwardRun of_step{n, square, count, t, h, 0, 1, before, zeros.data(), elements.data(), zeros.data(), 1,
+                                          &ONE_STEP, after.data(), group_after.data(), rows, of_element.data(),
+                                          of_inner.data(), deviations.data(), 0, threads};
+                derivatives[one.loop](derivatives[one.loop].backward, of_step);
+                if (!shifted) std::copy_n(of_element.data(), count * square, of_groups);
+                for (int64_t i = 0; i < count * n; ++i) rows[i] += through[i];
+                pull_flows(one, 0, start, run.h, from, rows, by_coefficients);
+            }
+        }
+        for (int64_t b = 0; b < count; ++b) {
+            for (int64_t c = 0; c < all.inner_coefficients; ++c)
+                by_coefficients[b * all.coefficients + c] += of_inner[b * all.inner_coefficients + c];
+            if (run.deviations) run.deviations[first + b] = std::max(run.deviations[first + b], deviations[b]);
+        }
+    }
+
+  private:
+    const ForcedDerivatives& all;
+    const StepTables& tables;
+    const ForcedLayout layout;
+    const int64_t n, square, d, first, count, threads;
+    const bool shifted;
+    ShiftFactor shift;
+    std::vector<double> x, groups, started, zeros, change = std::vector<double>(2 * square), ones;
+    std::vector<int64_t> status;
+    std::vector<double*> states;
+    std::vector<std::unique_ptr<InnerStep>> inner;
+    std::vector<std::unique_ptr<Force>> forces;
+    std::vector<InnerDerivative> derivatives;
+    std::vector<std::unique_ptr<ForceDerivative>> flows;
+    const int64_t work;
+    int64_t ONE_STEP = 1;
+
+    int64_t first_factor() const { return all.coefficients - all.casimirs; }
+
+    template <class Run>
+    void begin(const Run& run) {
+        std::copy_n(run.momenta + first * n, count * n, x.data());
+        std::copy_n(run.groups + first * square, count * square, groups.data());
+    }
+
+    template <class Visit>
+    void each_substep(double start, double h, const Visit& visit) {
+        for (const Substep& one : layout.substeps) {
+            InterruptCheck::of_this_call().after(work);
+            visit(one, start + one.begin * h, one.length * h);
+        }
+    }
+
+    // Visit the flows of all members that act on a side of a substep of the step from `start` of length h, in their order.
+    template <class Visit>
+    void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit) {
+        const bool end = &one == (side ? &layout.substeps.back() : &layout.substeps.front());
+        const double begin = start + one.begin * h, half = 0.5 * (one.length * h);
+        for (size_t k = 0; k < forces.size(); ++k) {
+            const int64_t j = int64_t(side ? forces.size() - 1 - k : k);
+            const bool around = forces[j]->around_steps();
+            if (around && !end) continue;
+            for (int64_t b = 0; b < count; ++b) {
+                if (around && !forces[j]->acts(start, h, first + b, side)) continue;
+                visit(around ? FlowTime{start, h, j, side, one.loop, first + b}
+                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, first + b}, b);
+            }
+        }
+    }
+
+    void apply(const FlowTime& at, double* state) {
+        if (forces[at.flow]->flow(state, nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    }
+
+    // Take the flows on a side again from the states before them, and pull the cotangents back.
+    void pull_flows(const Substep& one, int64_t side, double start, double h, const double* from, double* rows,
+                    double* by_coefficients) {
+        std::vector<FlowTime> times;
+        std::vector<int64_t> members;
+        std::vector<double> before;
+        std::copy_n(from, count * n, x.data());
+        each_flow(one, side, start, h, [&](const FlowTime& at, int64_t b) {
+            times.push_back(at);
+            members.push_back(b);
+            before.insert(before.end(), x.data() + b * n, x.data() + (b + 1) * n);
+            apply(at, x.data() + b * n);
+        });
+        for (size_t k = times.size(); k-- > 0;) {
+            const int64_t b = members[k];
+            flows[times[k].flow]->pull(times[k], before.data() + k * n, rows + b * n, by_coefficients + b * all.coefficients);
+        }
+    }
+
+    std::vector<double>& units() {
+        ones.assign(count * square, 0.0);
+        for (int64_t e = 0; e < count * square; ++e) ones[e] = e % square % (d + 1) ? 0.0 : 1.0;
+        return ones;
+    }
+
+    // Take a step of the inner loop. `started` are the elements with which it starts, and `groups`, if not shifted, those
+    // after it; if shifted `ends` are those after it.
+    void take(const Substep& one, double t, double h) {
+        started = shifted ? units() : groups;
+        if (shifted) ends = started;
+        InnerStep& step = *inner[one.loop];
+        if (!square && count > 1) {
+            for (int64_t b = 0; b < count; ++b) states[b] = x.data() + b * n;
+            step.take_all(states.data(), count, t, h, status.data());
+        } else {
+            for (int64_t b = 0; b < count; ++b)
+                status[b] = step.take(x.data() + b * n, (shifted ? ends : groups).data() + b * square, t, h);
+        }
+        for (int64_t b = 0; b < count; ++b)
+            if (status[b] != DONE) throw NotDifferentiated();
+    }
+
+    std::vector<double> ends;  // of the loop, after a step that starts at the unit element
+
+    // The stored element after a shifted step is G F s for the element G of the loop, the factor F, and s before.
+    void shifted_group(int64_t b, const double* factor, double* product) {
+        double* const group = groups.data() + b * square;
+        std::fill_n(product, square, 0.0);
+        add_matrix_product(d, 1.0, factor, group, product);
+        std::fill_n(group, square, 0.0);
+        add_matrix_product(d, 1.0, ends.data() + b * square, product, group);
+    }
+
+    void shifted_tangent(int64_t b, const double* factor, const double* of_factor, const double* of_end, double* of_group,
+                         double* product) {
+        const double* const group = groups.data() + b * square;
+        std::fill_n(product, square, 0.0);
+        add_matrix_product(d, 1.0, of_factor, group, product);
+        add_matrix_product(d, 1.0, factor, of_group, product);
+        std::fill_n(of_group, square, 0.0);
+        add_matrix_product(d, 1.0, ends.data() + b * square, product, of_group);
+        std::fill_n(product, square, 0.0);
+        add_matrix_product(d, 1.0, factor, group, product);
+        add_matrix_product(d, 1.0, of_end, product, of_group);
+    }
+
+    // Replace the cotangent of an element after the step by that of the element of the loop; set that of the element
+    // before, and add those of the momentum and the factors of the Casimirs.
+    void shifted_cotangents(int64_t b, const double* factor, const double* group, double* of_end, double* of_group,
+                            double* of_x, double* of_factors) {
+        std::vector<double> moved(square), transposed(square), of_factor(square), whole(of_end, of_end + square);
+        const double* const end = ends.data() + b * square;
+        // of F: G^T W s^T
+        transpose_matrix(d, end, transposed.data());
+        std::vector<double> pulled(square);
+        add_matrix_product(d, 1.0, transposed.data(), whole.data(), pulled.data());
+        transpose_matrix(d, group, transposed.data());
+        add_matrix_product(d, 1.0, pulled.data(), transposed.data(), of_factor.data());
+        shift.pull(of_factor.data(), of_x, of_factors);
+        // of s: F^T G^T W
+        transpose_matrix(d, factor, transposed.data());
+        std::fill_n(of_group, square, 0.0);
+        add_matrix_product(d, 1.0, transposed.data(), pulled.data(), of_group);
+        // of G: W (F s)^T
+        add_matrix_product(d, 1.0, factor, group, moved.data());
+        transpose_matrix(d, moved.data(), transposed.data());
+        std::fill_n(of_end, square, 0.0);
+        add_matrix_product(d, 1.0, whole.data(), transposed.data(), of_end);
+    }
+};
+
+template <class Run, class Move>
+int64_t in_blocks(const ForcedDerivatives& tables, const Run& run, int64_t first, int64_t last, const int64_t* stop,
+                  const Move& move) {
+    InterruptCheck interrupts(stop);
+    return outcome_of([&]() -> int64_t {
+        try {
+            for (int64_t m = first; m < last; m += MOST_LANES) {
+                ForcedSteps steps(tables, run.size, run.square, m, std::min<int64_t>(MOST_LANES, last - m), run.threads);
+                move(steps);
+            }
+            return 0;
+        } catch (const NotDifferentiated&) {
+            return UNSOLVED;
+        }
+    });
+}
+
+}  // namespace
+
+// Carry tangents of the members first to last - 1; return zero or the outcome.
+EXPORT int64_t forced_directions(const ForcedDerivatives* tables, const ForwardRun* run, int64_t first, int64_t last,
+                                 const int64_t* stop) {
+    return in_blocks(*tables, *run, first, last, stop, [&](ForcedSteps& steps) { steps.forward(*run); });
+}
+
+// Carry cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
+EXPORT int64_t forced_cotangents(const ForcedDerivatives* tables, const BackwardRun* run, int64_t first, int64_t last,
+                                 const int64_t* stop) {
+    return in_blocks(*tables, *run, first, last, stop, [&](ForcedSteps& steps) { steps.backward(*run); });
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,251 @@
+"""Tables of the flows of forces that are differentiated by the kernels."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.interface import codes
+from coadjoint.kernels.tables.compiled import addresses_by_coefficients, addresses_of, as_structure
+from coadjoint.kernels.tables.field import terms_of_field
+from coadjoint.kernels.tables.forces import ForceTable, compiled_flow, flow_table
+from coadjoint.program.added_part import terms_of
+from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
+from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+
+Floats = NDArray[np.float64]
+NO_ADDRESSES = np.zeros(0, dtype=np.int64)
+
+
+class ForceDerivatives(NamedTuple):
+    """How the kernels differentiate the flow of a force; see `source/boundary/tables.hpp`."""
+
+    kind: int
+    first: int
+    own: int
+    shape: int
+    matrix: Floats
+    along: int
+    hessians: NDArray[np.int64]
+    added: Terms
+    functions: NDArray[np.int64]
+    function: int
+    depends: bool
+    moved: int
+    nearby: NDArray[np.int64]
+    distance: Floats
+    numbered: NDArray[np.int64]
+
+
+class ForcedDerivatives(NamedTuple):
+    """Steps with forces that are differentiated; see `source/boundary/tables.hpp`."""
+
+    forced: int
+    inner: NDArray[np.int64]
+    flows: NDArray[np.int64]
+    inner_coefficients: int
+    called: int
+    coefficients: int
+    casimirs: int
+    factors: Floats
+    turning: Floats
+
+
+class FlowCoefficients(NamedTuple):
+    """How a flow is differentiated, its `own` coefficients from `first` on, and what they are of `entries`.
+
+    `covered` are the numbers of the entries by which it is differentiated by these coefficients: of those that are
+    `moved`, with a coefficient each behind the others, by differences. `energy` is the derivative of H by entries.
+    """
+
+    kind: str
+    first: int
+    own: int = 0
+    covered: frozenset[int] = frozenset()
+    multiples: Multiples = NO_MULTIPLES
+    energy: EnergyDerivative | None = None
+    moved: tuple[int, ...] = ()
+    in_python: bool = True
+
+    def of_entries(self, entries: Mapping[int, int]) -> Multiples:
+        """Return the multiples of some entries, by number, with their numbers in a parameter."""
+        chosen = self.multiples.take(np.isin(self.multiples.number, list(entries)))
+        return chosen._replace(number=np.array([entries[k] for k in chosen.number.tolist()], dtype=np.int64))
+
+
+# Kinds of flows x -> E x + b.
+AFFINE_KINDS = ("DAMPING", "CONSTANT", "OF_TIME", "MODE_RATES", "MODE_NOISE")
+# By how much a derivative of a number of a table may differ from a whole one, which it is by numbers of the user.
+ROUNDING = 1e-6
+
+
+def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, first: int) -> FlowCoefficients:
+    """Return the coefficients of the flow j of a system, which follow `first` other ones."""
+    force, plain = system.flows[j][1], system.unforced
+    using = [number for number, entry in enumerate(entries) if j in entry.flows]
+    in_python = FlowCoefficients("IN_PYTHON", first)
+    if force.around_steps:
+        return in_python
+    table = flow_table(system, j, order)
+    kind = {code: name for name, code in codes("ForceKind").items()}[table.kind]
+    found = in_python
+    if kind in AFFINE_KINDS:
+        found = FlowCoefficients("AFFINE", first)
+        if kind == "CONSTANT" or (kind == "DAMPING" and not table.amplitude):
+            found = _of_numbers(system, j, order, table, entries, found)
+    elif kind in ("OF_STATE", "BY_FLOW"):
+        found = (
+            FlowCoefficients("ALONG", first) if compiled_flow(system, j, order, beside=True) is not None else in_python
+        )
+    elif kind == "ON_ORBIT" and not table.extent and all(term.differentiable for term in plain.hamiltonian.terms()):
+        found = _on_orbit(system, j, entries, using, first)
+    if found.kind == "IN_PYTHON":
+        return found
+    moved = [
+        number
+        for number in using
+        if number not in found.covered
+        # On orbits tables contain the field of the unchanged energy.
+        and (found.kind != "ON_ORBIT" or entries[number].field)
+        and _moved_flows(system, j, entries[number], order) is not None
+    ]
+    places = [(first + found.own + k, number, 1.0) for k, number in enumerate(moved)]
+    covered = found.covered.union(moved)
+    return found._replace(
+        moved=tuple(moved),
+        covered=covered,
+        multiples=concatenated([found.multiples, Multiples.of_triplets(places)]),
+        in_python=not covered.issuperset(using),
+    )
+
+
+def _of_numbers(
+    system: Any, j: int, order: int, table: ForceTable, entries: Sequence[Any], found: FlowCoefficients
+) -> FlowCoefficients:
+    """Return the coefficients of a flow that are the numbers in its table, of which some are numbers of the user."""
+
+    def numbers_of(one: Any) -> Floats:
+        own = flow_table(one, j, order)
+        return np.concatenate([own.rate, own.aim]) if own.kind == codes("ForceKind")["DAMPING"] else own.aim
+
+    numbers, triplets, covered = numbers_of(system), list[tuple[int, int, float]](), set[int]()
+    for number, entry in enumerate(entries):
+        if j not in entry.flows:
+            continue
+        change = entry.nearby.difference(numbers_of, numbers)
+        whole = np.round(change)
+        if np.max(np.abs(change - whole), initial=0.0) < ROUNDING:
+            covered.add(number)
+            triplets += [(found.first + k, number, float(whole[k])) for k in np.flatnonzero(whole).tolist()]
+    return found._replace(own=len(numbers), covered=frozenset(covered), multiples=Multiples.of_triplets(triplets))
+
+
+def _on_orbit(system: Any, j: int, entries: Sequence[Any], using: Sequence[int], first: int) -> FlowCoefficients:
+    """Return the coefficients of a damping on orbits: logarithms of its directions, and coefficients of H."""
+    n, known = system.dim, system.flows[j][1].scalings()
+    triplets, covered = list[tuple[int, int, float]](), set[int]()
+    energies: dict[str, EnergyDerivative] = {}
+    for number in using:
+        entry = entries[number]
+        if entry.energy is not None:
+            energies[entry.name] = entry.energy
+            covered.add(number)
+        elif entry.field in known:
+            covered.add(number)
+            for start, factor in zip((first, first + n), known[entry.field], strict=True):
+                at = [entry.entry] if np.ndim(factor) else range(n)
+                triplets += [(start + i, number, float(np.broadcast_to(factor, n)[i])) for i in at]
+    apart = {name: one.apart for name, one in energies.items()}
+    joined = EnergyDerivative.joined(list(apart.values()))
+    added, of_monomials = terms_of(joined, n)
+    multiples = [Multiples.of_triplets(triplets)]
+    for name, one in of_monomials.split({name: energy.size for name, energy in apart.items()}).items():
+        of_energy = one.of_energy(energies[name])
+        numbers = {entries[number].entry: number for number in using if entries[number].name == name}
+        renumbered = np.array([numbers[k] for k in of_energy.number.tolist()], dtype=np.int64)
+        multiples.append(Multiples(first + 2 * n + of_energy.position, renumbered, of_energy.factor))
+    count = 2 * n + len(added.offset) + len(added.weight) + len(added.coefficient)
+    return FlowCoefficients("ON_ORBIT", first, count, frozenset(covered), concatenated(multiples), joined)
+
+
+def _moved_flows(system: Any, j: int, entry: Any, order: int) -> tuple[float, list[Any]] | None:
+    """Return a distance and the tables of the flow j of systems with a moved entry; None without some of them."""
+    nodes, own = entry.nearby.nodes(), flow_table(system, j, order)
+    if nodes is None:
+        return None
+    found = [compiled_flow(one, j, order) for one in nodes[1]]
+    if any(one is None or one[0].kind != own.kind for one in found):
+        return None
+    return nodes[0], found
+
+
+def flow_derivatives(
+    system: Any,
+    j: int,
+    flow: FlowCoefficients,
+    entries: Sequence[Any],
+    lengths: Sequence[float],
+    order: int,
+    depends: bool,
+    function: int,
+) -> tuple[ForceDerivatives, Any]:
+    """Return the table of the derivatives of a flow in substeps of these lengths, and the owners of its functions.
+
+    It `depends` on entries by which the `function` in Python, at an address, differentiates it.
+    """
+    plain, along, owners = system.unforced, 0, tuple[Any, ...]()
+    matrix, shape, hessians, functions = np.zeros(len(lengths)), "MULTIPLE", NO_ADDRESSES, NO_ADDRESSES
+    added = TermTable().table(float)
+    force = system.flows[j][1]
+    if flow.kind == "AFFINE":
+        tangents = [_tangent(force, plain, 0.5 * length) for length in lengths]
+        shape = ("MULTIPLE", "DIAGONAL", "FULL")[tangents[0].ndim]
+        unit = np.eye(system.dim) if shape == "FULL" else 1.0
+        matrix = np.concatenate([np.ravel(one - unit) for one in tangents])
+    elif flow.kind == "ALONG":
+        beside = compiled_flow(system, j, order, beside=True)
+        assert beside is not None
+        structure = as_structure(beside[0])
+        along, owners = ctypes.addressof(structure), (structure, *beside[1])
+    elif flow.kind == "ON_ORBIT" and flow.energy is not None:
+        terms = terms_of_field(plain)
+        hessians, owners = addresses_of(terms.functions, len(terms), "hessian", "the Hamiltonian")
+        added, _ = terms_of(flow.energy, system.dim)
+        functions, others = addresses_by_coefficients(flow.energy.functions, added.size)
+        owners = (*owners, *others)
+    nearby, distances, kept = list[Any](), list[float](), list[Any]()
+    for number in flow.moved:
+        found = _moved_flows(system, j, entries[number], order)
+        assert found is not None
+        distances.append(found[0])
+        nearby += [as_structure(table) for table, _ in found[1]]
+        kept += [functions for _, functions in found[1]]
+    table = ForceDerivatives(
+        kind=codes("FlowDerivative")[flow.kind],
+        first=flow.first,
+        own=flow.own,
+        shape=codes("Shape")[shape],
+        matrix=matrix,
+        along=along,
+        hessians=hessians,
+        added=added,
+        functions=functions,
+        function=function,
+        depends=depends,
+        moved=len(flow.moved),
+        nearby=np.array([ctypes.addressof(one) for one in nearby], dtype=np.int64),
+        distance=np.array(distances),
+        numbered=np.array(flow.moved, dtype=np.int64),
+    )
+    return table, (*owners, nearby, kept)
+
+
+def _tangent(force: Any, plain: Any, tau: float) -> Floats:
+    """Return the derivative of an affine flow, which is that at any state and time."""
+    known = force.tangent(plain, np.zeros(plain.dim), 0.0, tau)
+    return np.asarray(1.0 if known is None else known, dtype=np.float64)

@@ -1,0 +1,155 @@
+"""Derivatives of runs with forces, forward and backward, against each other and against differences of the runs."""
+
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from derivative_checks import DIFFERENCE_ERROR, assert_derivatives
+
+import coadjoint as co
+from guards import bounded_work
+from matrix.forces import changed, first_fitting
+
+F, H = co.forces, 0.0625
+BODY, TOP = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), co.systems.heavy_top(inertia=(1.0, 2.0, 2.5))
+X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
+FULL = np.array([[0.3, 0.2, -0.1], [0.0, 0.2, 0.1], [0.1, -0.2, 0.4]])
+AIM = (0.1, 0.2, 0.4)
+METRIC = np.array([[0.7, 0.2, 0.1], [0.2, 0.5, 0.0], [0.1, 0.0, 0.9]])
+
+
+def acting(base, *forces):
+    """Return the builder of a system with forces."""
+    return changed(base.with_forces(*forces))
+
+
+def law(x, t, gain, tilt):
+    return -gain * x * x + tilt * np.sin(t)
+
+
+# Of systems whose energies are shifted if they have an attitude: forces, a scheme, and a number of members.
+CASES = {
+    "one rate": (BODY, (F.LinearDamping(0.3),), co.Splitting(), 1),
+    "rates of axes": (BODY, (F.LinearDamping((0.3, 0.2, 0.1), toward=AIM),), co.Splitting(order=4), 3),
+    "matrix of rates": (BODY, (F.LinearDamping(FULL, toward=AIM),), co.Splitting(order=6), 1),
+    "large rates": (BODY, (F.LinearDamping(30.0 * FULL, toward=AIM),), co.Splitting(), 1),
+    "amplified": (BODY, (F.LinearDamping(-0.3, toward=0.25),), co.GaussLegendre(1), 40),
+    "constant, then damped": (BODY, (F.Torque(AIM), F.LinearDamping(0.3)), co.GaussLegendre(1), 1),
+    "of time": (BODY, (F.Torque(lambda t: np.array([np.sin(t), 0.2, 0.1 * t])),), co.Splitting(order=4), 2),
+    "law": (BODY, (F.Torque(law, arguments={"gain": 0.3, "tilt": AIM}),), co.Splitting(order=8), 1),
+    "given flow": (BODY, (F.OwnForce(lambda x, t, tau: x / (1.0 + 0.2 * tau * x * x)),), co.Splitting(), 2),
+    "double bracket": (BODY, (F.DoubleBracketDamping(0.4, (0.5, 1.0, 2.0)),), co.Splitting(order=4), 1),
+    "matrix as metric": (BODY, (F.DoubleBracketDamping(0.4, METRIC),), co.Splitting(), 1),
+    "of a top": (TOP, (F.DoubleBracketDamping(0.4), F.LinearDamping(0.1)), co.Splitting(order=4), 1),
+}
+NOISES = {
+    "bath": (BODY, (F.HeatBath(0.3, temperature=0.5, seed=7),), co.Splitting(), 1),
+    "bath with metric": (BODY, (F.HeatBath(0.3, (0.5, 1.0, 2.0), 0.5, seed=7), F.Torque(AIM)), co.GaussLegendre(1), 1),
+    "two layers": (TOP, (F.HeatBath(0.3, temperature=0.5, seed=7),), co.Splitting(), 1),
+    "thermal": (BODY, (F.Langevin(0.3, temperature=0.5, seed=7),), co.Splitting(), 1),
+}
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("attitude", [True, False])
+@pytest.mark.parametrize("name", CASES)
+def test_flows_are_differentiated_around_steps(name, attitude):
+    base, forces, method, members = CASES[name]
+    x0 = X3 if base is BODY else X6
+    x0 = x0 if members == 1 else np.outer(np.linspace(0.5, 1.5, members), x0)
+    backward = attitude and "large" not in name
+    span = (0.5, 0.5 + (-5 if backward else 5) * H)
+    # Those of a damping in coordinates grow with its rates.
+    error = DIFFERENCE_ERROR * (16 if members > 8 or "large" in name else 1)
+    options = {"t_eval": [0.5, 0.5 + (span[1] - 0.5) * 0.3, span[1]]} if name == "rates of axes" else {}
+    assert_derivatives(acting(base, *forces), method, x0, span, H, attitude=attitude, error=error, **options)
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_noise_is_frozen(name):
+    base, forces, method, _ = NOISES[name]
+    x0 = X3 if base is BODY else X6
+    assert_derivatives(acting(base, *forces), method, x0, (0.5, 0.5 + 6 * H), H, attitude=True)
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1e30])
+def test_derivatives_follow_the_unit_of_the_momentum(scale):
+    """Of a free body with moments and momenta in another unit, and of its damping."""
+
+    def derivatives(unit):
+        body = co.systems.rigid_body(inertia=unit * np.array([1.0, 2.0, 2.5]))
+        system = body.with_forces(F.LinearDamping((0.3, 0.2, 0.1)), F.Torque(unit * np.array(AIM)))
+        ready = co.prepare(system, co.Splitting(), H, attitude=True)
+        sol, pullback = ready.vjp(unit * X3, (0.0, 1.0))
+        gradient = pullback(sol.x / unit**2, attitude=sol.attitude)
+        _, tangents = ready.jvp(unit * X3, (0.0, 1.0), {"x0": unit * X3, "Torque.torque": unit * X3})
+        found = [unit * gradient["x0"], gradient["LinearDamping.rate"], unit * gradient["inertia"]]
+        return [*found, unit * gradient["Torque.torque"], tangents.x / unit, tangents.attitude]
+
+    for one, other in zip(derivatives(scale), derivatives(1.0), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
+
+
+@pytest.mark.parametrize(
+    "function",
+    [lambda x, gain: -gain * x * np.abs(x), lambda x, gain: np.minimum(gain * x, 0.306 * x)],
+    ids=["modulus", "kink beside the gain"],
+)
+def test_functions_that_take_no_complex_numbers_are_differentiated_by_differences(function):
+    """The kink is within the nodes of differences by the gain, so that nearer ones are taken."""
+    force = F.Torque(function, arguments={"gain": 0.3})
+    assert_derivatives(acting(BODY, force), co.Splitting(), X3, (0.5, 0.5 + 3 * H), H, attitude=True, error=2.0**-28)
+
+
+def test_members_have_the_derivatives_of_single_runs():
+    system = BODY.with_forces(F.LinearDamping(FULL, toward=AIM), F.HeatBath(0.2, temperature=0.3, seed=5))
+    ready, x0 = co.prepare(system, co.Splitting(), H, attitude=True), np.outer(np.linspace(0.5, 1.5, 35), X3)
+    sol, pullback = ready.vjp(x0, (0.5, 1.0))
+    found = pullback(sol.x, attitude=sol.attitude)
+    parts = []
+    for m in (0, 34):
+        of_member = co.prepare(system.among(m, m + 1), co.Splitting(), H, attitude=True)
+        one, pullback = of_member.vjp(x0[m], (0.5, 1.0))
+        assert np.array_equal(one.x, sol.x[:, m])
+        parts.append((m, pullback(one.x, attitude=one.attitude)))
+    for m, gradient in parts:
+        np.testing.assert_allclose(found["x0"][m], gradient["x0"], rtol=0, atol=1e-13 * np.abs(gradient["x0"]).max())
+
+
+def test_gradients_of_long_runs_take_bounded_work():
+    """The loop over steps is not in Python: a step there took two milliseconds."""
+    system = BODY.with_forces(F.LinearDamping(0.01), F.DoubleBracketDamping(0.01))
+    ready = co.prepare(system, co.Splitting(), H, attitude=True)
+    ready.vjp(X3, (0.0, 1.0))
+    with bounded_work(8.0):
+        sol, pullback = ready.vjp(X3, (0.0, 10_000 * H), save_every=1000)
+        pullback(np.ones(sol.x.shape), attitude=np.ones(sol.attitude.shape))
+
+
+def taken_by(name):
+    """Return a system with a registered force; None for forces on satellites, which are tested beside this file."""
+    with suppress(ValueError):
+        system = first_fitting(name)
+        return None if system.has_attitude else system
+    return None  # a noise that needs a larger grid
+
+
+REGISTERED = {name: system for name in co.forces.names() if (system := taken_by(name)) is not None}
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", REGISTERED)
+def test_every_registered_force_is_differentiated(name):
+    system = REGISTERED[name]
+    step = getattr(system.forces[0], "period", H)
+    step = step if np.ndim(step) == 0 and np.isfinite(step) else H
+
+    def drawn(rng):
+        entries = rng.standard_normal((2, *system.shape))
+        return system.unforced.algebra.projected(entries[0] + 1j * entries[1] if system.complex else entries[0])
+
+    draw, method = (drawn, co.IsospectralGauss()) if system.has_matrices else (None, co.Splitting())
+    x0 = 0.3 + 0.4 * np.cos(1.0 + np.arange(system.dim)) if draw is None else draw(np.random.default_rng(3))
+    span = 8 * step, 11 * step
+    assert_derivatives(changed(system), method, x0, span, step, draw=draw, error=2.0**-24)
