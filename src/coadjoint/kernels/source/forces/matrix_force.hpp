@@ -24,17 +24,17 @@ class Conjugation {
 
     Conjugation(int64_t gemm, int64_t n, int64_t layers)
         : n(n), square(n * n), layers(layers), A(layers * square), single(gemm, n, 1), whole(gemm, n, layers),
-          cayley(gemm, n), E(layers * square), B(layers * square), C(layers * square), second(layers * square),
+          cayley(gemm, n), swept(n * n), E(layers * square), B(layers * square), C(layers * square), second(layers * square),
           third(layers * square), fourth(layers * square) {}
 
     // Approximate number of multiplications of an exponential and its action.
     int64_t work() const { return 8 * layers * square * n * int64_t(sizeof(T) / sizeof(double)); }
 
-    const Products<T>& products_of(int64_t depth) const { return depth == 1 ? single : whole; }
+    Products<T>& products_of(int64_t depth) { return depth == 1 ? single : whole; }
 
     // U := exp(A), by its series of A/2^s, of degree 4, 8, 12 or 16, which is squared s times; return a status.
     int64_t exponential(int64_t depth) {
-        const Products<T>& products = products_of(depth);
+        Products<T>& products = products_of(depth);
         products.multiply(A.data(), A.data(), second.data());
         products.multiply_skew(second.data(), A.data(), third.data());
         products.multiply(second.data(), second.data(), fourth.data());
@@ -72,8 +72,10 @@ class Conjugation {
 
     // U := (1 + A/2)(1 - A/2)^-1.
     void transform(int64_t depth) {
-        for (int64_t e = 0; e < square; ++e) E[e] = 0.5 * A[e];
-        cayley.transform(E.data());
+        const Planes<T> planes = swept.layer();
+        for (int64_t e = 0; e < square; ++e) planes.set(e, 0.5 * A[e]);
+        cayley.transform(planes);
+        for (int64_t e = 0; e < square; ++e) E[e] = planes.at(e);
         if (depth == 2) {
             // (1 + E) A1/2 (1 + E), E = (1 - A0/2)^-1 - 1
             T* const layer = E.data() + square;
@@ -88,7 +90,7 @@ class Conjugation {
     // X := U X U*.
     void act(int64_t depth, T* X) {
         for_parts(depth, X, [&](T* part, int64_t count) {
-            const Products<T>& products = products_of(depth);
+            Products<T>& products = products_of(depth);
             products.multiply(E.data(), part, B.data());
             products.multiply_skew_by_adjoint(B.data(), E.data(), C.data());
             for (int64_t l = 0; l < count; l += square) {
@@ -104,7 +106,7 @@ class Conjugation {
     double improve_midpoint(int64_t depth, const T* X, T* M) {
         double change = 0.0;
         for_parts(depth, M, [&](T* part, int64_t count) {
-            const Products<T>& products = products_of(depth);
+            Products<T>& products = products_of(depth);
             products.multiply(A.data(), part, B.data());
             products.multiply_skew(B.data(), A.data(), C.data());
             for (int64_t e = 0; e < count; ++e) C[e] *= 0.25;
@@ -137,8 +139,9 @@ class Conjugation {
     // Bounds of the norm for which the series of degree 4, 8, 12, 16 ends below round-off, and their number.
     static constexpr int64_t BLOCKS = 4;
     static constexpr double RADIUS[BLOCKS] = {1.9e-4, 0.035, 0.234, 0.655};
-    const Products<T> single, whole;
+    Products<T> single, whole;
     Cayley<T> cayley;
+    PlanesOf<T> swept;
     std::vector<T> E, B, C, second, third, fourth;  // E = U - 1; powers of A
 
     // The parts of a state that one product acts on: both layers together, or one after the other.

@@ -33,7 +33,7 @@ struct Isospectral : StepScheme {
     const int64_t n, square, all, numbers, stages;
     const bool skew;
     const double *a, *b, *c;
-    const Products<T> products;
+    Products<T> products;
     Stream<T> stream;
 
     explicit Isospectral(const StepTables& tables)
