@@ -69,7 +69,7 @@ template <class T>
 struct MatrixOrbit {
     const int64_t size, all, n, square = 0;
     const bool skew;
-    Products<T> products;
+    const Products<T> products;
     Stream<T> stream;
     std::vector<T> left, right;
     std::vector<double> sums;

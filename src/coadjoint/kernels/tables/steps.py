@@ -252,7 +252,7 @@ def matrix_tables(
 ) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
     integers, numbers, keepalive = stream_tables(system)
-    integers += [blas_address("dgemm"), blas_address("sgemm")]
+    integers += [blas_address(name) for name in ("zgemm" if system.complex else "dgemm", "dgemm", "sgemm")]
     integers += [stages, int(system.complex), int(not system.algebra.skew)]
     step_tables = numeric_step_tables(system, step, integers, [*coefficients, *numbers], fractions)
     return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))

@@ -22,19 +22,20 @@ class Conjugation {
     const int64_t n, square, layers;  // of a state
     std::vector<T> A;
 
-    Conjugation(int64_t gemm, int64_t n, int64_t layers)
+    // The products of matrices of T and of real ones are given.
+    Conjugation(int64_t gemm, int64_t real_gemm, int64_t n, int64_t layers)
         : n(n), square(n * n), layers(layers), A(layers * square), single(gemm, n, 1), whole(gemm, n, layers),
-          cayley(gemm, n), swept(n * n), E(layers * square), B(layers * square), C(layers * square), second(layers * square),
-          third(layers * square), fourth(layers * square) {}
+          cayley(real_gemm, n), swept(n * n), E(layers * square), B(layers * square), C(layers * square),
+          second(layers * square), third(layers * square), fourth(layers * square) {}
 
     // Approximate number of multiplications of an exponential and its action.
     int64_t work() const { return 8 * layers * square * n * int64_t(sizeof(T) / sizeof(double)); }
 
-    Products<T>& products_of(int64_t depth) { return depth == 1 ? single : whole; }
+    const Products<T>& products_of(int64_t depth) const { return depth == 1 ? single : whole; }
 
     // U := exp(A), by its series of A/2^s, of degree 4, 8, 12 or 16, which is squared s times; return a status.
     int64_t exponential(int64_t depth) {
-        Products<T>& products = products_of(depth);
+        const Products<T>& products = products_of(depth);
         products.multiply(A.data(), A.data(), second.data());
         products.multiply_skew(second.data(), A.data(), third.data());
         products.multiply(second.data(), second.data(), fourth.data());
@@ -90,7 +91,7 @@ class Conjugation {
     // X := U X U*.
     void act(int64_t depth, T* X) {
         for_parts(depth, X, [&](T* part, int64_t count) {
-            Products<T>& products = products_of(depth);
+            const Products<T>& products = products_of(depth);
             products.multiply(E.data(), part, B.data());
             products.multiply_skew_by_adjoint(B.data(), E.data(), C.data());
             for (int64_t l = 0; l < count; l += square) {
@@ -106,7 +107,7 @@ class Conjugation {
     double improve_midpoint(int64_t depth, const T* X, T* M) {
         double change = 0.0;
         for_parts(depth, M, [&](T* part, int64_t count) {
-            Products<T>& products = products_of(depth);
+            const Products<T>& products = products_of(depth);
             products.multiply(A.data(), part, B.data());
             products.multiply_skew(B.data(), A.data(), C.data());
             for (int64_t e = 0; e < count; ++e) C[e] *= 0.25;
@@ -139,7 +140,7 @@ class Conjugation {
     // Bounds of the norm for which the series of degree 4, 8, 12, 16 ends below round-off, and their number.
     static constexpr int64_t BLOCKS = 4;
     static constexpr double RADIUS[BLOCKS] = {1.9e-4, 0.035, 0.234, 0.655};
-    Products<T> single, whole;
+    const Products<T> single, whole;
     Cayley<T> cayley;
     PlanesOf<T> swept;
     std::vector<T> E, B, C, second, third, fourth;  // E = U - 1; powers of A
@@ -166,14 +167,15 @@ class MatrixForce {
 
 // X' = [A, X] with A = rate[0] times the dual of [Y, X], by the midpoint rule in Cayley transforms, which is symmetric,
 // between halves of a noise of `amplitude` in all directions of the blocks on the diagonal. Of the table: `begin` and `aim`
-// are the integers and the numbers of the stream Y, function[0] is the address of the product, and `position` the layers
-// of A. Row i belongs to the block b = direction[i], whose adjoint Casimir is rate[1 + b], and whose entries are complex if
+// are the integers and the numbers of the stream Y, `function` has the addresses of the product and of that of real
+// matrices, and `position` is the layers of A. Row i belongs to the block b = direction[i], whose adjoint Casimir is rate[1 + b], and whose entries are complex if
 // turning[b] is one, else it is zero.
 template <class T>
 class OrbitDamping final : public MatrixForce {
   public:
     explicit OrbitDamping(const ForceTable& table)
-        : table(table), stream(table.begin, table.aim), by(table.function[0], table.begin[0], table.begin[1]),
+        : table(table), stream(table.begin, table.aim),
+          by(table.function[0], table.function[1], table.begin[0], table.begin[1]),
           n(by.n), square(by.square), all(by.layers * square), depth(table.position), M(all), Y(all), slope(all),
           deviates(table.amplitude > 0.0 ? square : 0) {}
 
@@ -266,15 +268,15 @@ class OrbitDamping final : public MatrixForce {
 
 // X' = sum over k of [A_k, X] o dB_k, on one side of each step: exp(Z1) exp(Z2), Z = (B/2 +- D/sqrt(2)) . A with an
 // independent copy D of the increments B, has weak order two for any A_k; where these commute it is exp(B . A), the exact
-// flow. Of the table: `function` has the address of the product, the layers of a state, and the levels of the increments,
-// and `amplitude` is one if the A_k commute. Those that are no modes are `sets` matrices in `basis`, each of
+// flow. Of the table: `function` has the address of the product, the layers of a state, the levels of the increments, and
+// the address of the product of real matrices, and `amplitude` is one if the A_k commute. Those that are no modes are `sets` matrices in `basis`, each of
 // `direction[0]` layers.
 template <class T>
 class MatrixNoise final : public MatrixForce {
   public:
     explicit MatrixNoise(const ForceTable& table)
         : table(table), modes(table.kind == MODE_TRANSPORT ? new ModeForce(table) : nullptr),
-          by(table.function[0], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
+          by(table.function[0], table.function[3], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
           count(modes ? modes->deviates() : table.sets), commuting(table.amplitude != 0.0),
           increments(table, table.function[2], count, commuting ? 0 : count), factors(count) {}
 

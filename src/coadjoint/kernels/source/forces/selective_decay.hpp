@@ -136,7 +136,7 @@ class MatrixDecay final : public SelectiveDecay {
 
   private:
     const int64_t rows;
-    Products<T> products;
+    const Products<T> products;
     Stream<T> stream;
     const double* const constant;
     std::vector<T> scratch;

@@ -13,9 +13,9 @@
 
 namespace coadjoint {
 
-// Indices in `whole` of the tables for the addresses of BLAS routines: products in the precision of the states and in
-// the lower one.
-enum TableIndex { STREAM = 0, GEMM = 6, LOWER_GEMM, STAGES, COMPLEX, GENERAL };
+// Indices in `whole` of the tables for the addresses of BLAS routines: products of matrices of the states, and of real
+// ones in their precision and in the lower one.
+enum TableIndex { STREAM = 0, GEMM = 6, REAL_GEMM, LOWER_GEMM, STAGES, COMPLEX, GENERAL };
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;
@@ -33,7 +33,7 @@ struct Isospectral : StepScheme {
     const int64_t n, square, all, numbers, stages;
     const bool skew;
     const double *a, *b, *c;
-    Products<T> products;
+    const Products<T> products;
     Stream<T> stream;
 
     explicit Isospectral(const StepTables& tables)

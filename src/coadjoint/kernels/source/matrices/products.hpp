@@ -1,6 +1,4 @@
-// Products of square matrices, by the BLAS routine for real matrices given in the tables. Matrices are stored row by
-// row. A product of complex ones is three of real ones ("3M": N. J. Higham, SIAM J. Matrix Anal. Appl. 13 (1992) 681),
-// whose errors are small beside the norms of both factors.
+// Products of square matrices, by the BLAS routines given in the tables. Matrices are stored row by row.
 //
 // An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product.
 #pragma once
@@ -41,7 +39,7 @@ inline Complex inverse(const Complex& a) {
 // stay in the cache.
 template <class Use>
 void each_pair(int64_t n, const Use& use) {
-    constexpr int64_t BLOCK = 16;
+    constexpr int64_t BLOCK = 8;
     for (int64_t first = 0; first < n; first += BLOCK)
         for (int64_t second = 0; second <= first; second += BLOCK)
             for (int64_t i = first; i < std::min(first + BLOCK, n); ++i)
@@ -73,7 +71,8 @@ struct RealType<std::complex<R>> {
 };
 
 // The entries of a matrix in planes of real numbers: one, or of complex numbers three, the real parts, the imaginary
-// parts, and their sums or differences. Products of the planes of two factors give the planes of a product.
+// parts, and their sums or differences. Three products of planes of two factors give a complex product ("3M": N. J.
+// Higham, SIAM J. Matrix Anal. Appl. 13 (1992) 681), with errors that are small beside the norms of both factors.
 template <class T>
 struct Planes {
     typedef T Real;
@@ -120,17 +119,19 @@ class PlanesOf {
   public:
     typedef typename Planes<T>::Real Real;
     explicit PlanesOf(int64_t square, int64_t layers = 1)
-        : square(square), numbers(Planes<T>::COUNT * square * layers) {}
+        : distance(square + APART), numbers(Planes<T>::COUNT * distance * layers) {}
 
     Planes<T> layer(int64_t l = 0) {
         Planes<T> found;
         for (int k = 0; k < Planes<T>::COUNT; ++k)
-            found.plane[k] = numbers.data() + (l * Planes<T>::COUNT + k) * square;
+            found.plane[k] = numbers.data() + (l * Planes<T>::COUNT + k) * distance;
         return found;
     }
 
   private:
-    const int64_t square;
+    // An odd number of cache lines: equal entries of different planes are not in the same set of the cache.
+    static constexpr int64_t APART = 9 * 64 / int64_t(sizeof(Real));
+    const int64_t distance;
     std::vector<Real> numbers;
 };
 
@@ -183,57 +184,59 @@ class PlaneProducts {
     }
 };
 
-// Products of matrices whose complex entries are adjacent.
+// Products of matrices whose complex entries are adjacent, by the routine for these.
 template <class T>
 class Products {
   public:
     Products(int64_t gemm, int64_t size, int64_t layers)
-        : of_planes(gemm, size), n(size), square(size * size), layers(layers), left(square, layers),
-          right(square, layers), made(square, layers) {}
+        : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), square(size * size), layers(layers) {}
 
-    // c = a b.
-    void multiply(const T* a, const T* b, T* c) { of_layers(a, b, c, false, false); }
+    // c = a b. Fortran reads columns: it sees the transposed matrices, and their product in the opposite order.
+    void multiply(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, false); }
 
-    // The same for a skew-Hermitian product.
-    void multiply_skew(const T* a, const T* b, T* c) { of_layers(a, b, c, false, true); }
+    // The same for a skew-Hermitian product: some entries above the diagonal are in panels that are not computed, and
+    // all are taken from below.
+    void multiply_skew(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, true); }
 
     // c = a b*, b* the conjugate transpose, for a skew-Hermitian product.
-    void multiply_skew_by_adjoint(const T* a, const T* b, T* c) { of_layers(a, b, c, true, true); }
+    void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
 
   private:
-    const PlaneProducts<T> of_planes;
-    const int64_t n, square, layers;
-    PlanesOf<T> left, right, made;
+    // Panels of which only the lower half is computed, and sizes below which one panel is faster.
+    static constexpr int PANELS = 4, SMALL = 32;
+    const Gemm<T> gemm;
+    const int n;
+    const int64_t square, layers;
 
-    void of_layers(const T* a, const T* b, T* c, bool adjoint, bool skew) {
-        for (int64_t l = 0; l < layers; ++l) {
-            const Planes<T> a_planes = left.layer(l), b_planes = right.layer(l);
-            for (int64_t e = 0; e < square; ++e) {
-                const T entry = a[l * square + e];
-                if (adjoint) a_planes.set_with_difference(e, entry);
-                else a_planes.set(e, entry);
-                b_planes.set(e, b[l * square + e]);
-            }
+    void of_layers(const T* a, const T* b, T* c, bool adjoint, bool skew) const {
+        by_panels(a, b, c, adjoint, skew, false);
+        if (layers == 2) {
+            by_panels(a, b + square, c + square, adjoint, skew, false);
+            by_panels(a + square, b, c + square, adjoint, skew, true);
         }
-        const auto product = [&](int64_t i, int64_t j, const Planes<T>& to, bool add) {
-            if (skew) of_planes.lower(left.layer(i), right.layer(j), to, adjoint, add);
-            else of_planes.multiply(left.layer(i), right.layer(j), to, add);
-        };
-        for (int64_t l = 0; l < layers; ++l) {
-            const Planes<T> planes = made.layer(l);
-            T* const to = c + l * square;
-            product(0, l, planes, false);
-            if (l > 0) product(l, 0, planes, true);
-            if (!skew) {
-                for (int64_t e = 0; e < square; ++e) to[e] = planes.product(e);
-                continue;
-            }
-            each_pair(n, [=](int64_t e, int64_t f) {
-                const T entry = adjoint ? planes.product_by_adjoint(e) : planes.product(e);
-                to[f] = -conjugate(entry);
-                to[e] = entry;
-            });
+        if (skew)
+            for (int64_t l = 0; l < layers; ++l) mirror(c + l * square);
+    }
+
+    void by_panels(const T* a, const T* b, T* c, bool adjoint, bool skew, bool add) const {
+        const int panels = !skew || n < SMALL ? 1 : PANELS;
+        for (int p = 0; p < panels; ++p) {
+            const int first = n * p / panels, last = n * (p + 1) / panels;
+            const int64_t row = int64_t(first) * n;
+            panel(a + row, b, c + row, last - first, last, adjoint, add);
         }
+    }
+
+    // The first `columns` entries of some rows of the product.
+    void panel(const T* a, const T* b, T* c, int rows, int columns, bool adjoint, bool add) const {
+        const T one(1.0), beta(add ? 1.0 : 0.0);
+        const char plain = 'N', other = adjoint ? 'C' : 'N';
+        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &beta, c, &n);
+    }
+
+    void mirror(T* c) const {
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t j = 0; j < i; ++j) c[j * n + i] = -conjugate(c[i * n + j]);
     }
 };
 

@@ -2,9 +2,10 @@
 //
 // With X = (h/2) P, B = (1 - X)^-1 and C = B - 1 the midpoint is M = B W B* = W + Z - Z* + V, Z = C W, V = Z C*, and
 // P = stream(M) is solved. The step adds 2 (Z - Z*) + 4 V to W, which is conjugation by the Cayley transform 1 + 2 C of
-// X: any P preserves the spectrum. A change D of P adds Y - Y* to M, Y = (h/2) B D M, and 2 (Y' - Y'*), Y' = Y - Y X,
-// to the step. The linear equation for D needs few digits, and is solved by iteration in the lower precision. The
-// initial P is predicted from earlier steps.
+// X: any P preserves the spectrum. A change D of P adds Y - Y* to M, Y = (h/2) B D M, and 2 (Y' - Y'*) to the step,
+// Y' = (h/2) B D N with N = M (1 - X) = M + V - Z*. The linear equation for D needs few digits, and is solved in the
+// lower precision. P is predicted from earlier steps, so that mostly one Newton step of one product by its slope is
+// left: 2 5/8 products in the precision of the states, one of them the inverse, and four in the lower one.
 #pragma once
 
 #include "matrices/cayley.hpp"
@@ -47,8 +48,10 @@ struct SkewMidpoint final : Isospectral<T> {
     const PlaneProducts<T> products;
     const PlaneProducts<LowPrecision> low;
     Cayley<T> cayley;
-    PlanesOf<T> of_W, of_C, of_Z, of_V;
-    PlanesOf<LowPrecision> of_B, of_M, of_N, of_D, of_U, of_Y;
+    PlanesOf<T> planes;
+    PlanesOf<LowPrecision> low_planes;
+    const Planes<T> W_planes, C, Z, V;
+    const Planes<LowPrecision> B, low_M, low_N, changed, U, Y;
     std::vector<T> M, G, image;
     std::vector<T> P, F, D, R, base, residuals;  // packed
 
@@ -61,10 +64,12 @@ struct SkewMidpoint final : Isospectral<T> {
     Direction directions[DIRECTIONS];
 
     explicit SkewMidpoint(const StepTables& tables)
-        : Base(tables), half(numbers / n * (n + 1) / 2), products(tables.whole[GEMM], n),
-          low(tables.whole[LOWER_GEMM], n), cayley(tables.whole[GEMM], n), of_W(all), of_C(all), of_Z(all), of_V(all),
-          of_B(all), of_M(all), of_N(all), of_D(all), of_U(all), of_Y(all), M(all), G(all), image(all), P(entries()), F(entries()),
-          D(entries()), R(entries()), base(entries()), residuals(entries()) {
+        : Base(tables), half(numbers / n * (n + 1) / 2), products(tables.whole[REAL_GEMM], n),
+          low(tables.whole[LOWER_GEMM], n), cayley(tables.whole[REAL_GEMM], n), planes(all, 4), low_planes(all, 6),
+          W_planes(planes.layer(0)), C(planes.layer(1)), Z(planes.layer(2)), V(planes.layer(3)),
+          B(low_planes.layer(0)), low_M(low_planes.layer(1)), low_N(low_planes.layer(2)),
+          changed(low_planes.layer(3)), U(low_planes.layer(4)), Y(low_planes.layer(5)), M(all), G(all), image(all),
+          P(entries()), F(entries()), D(entries()), R(entries()), base(entries()), residuals(entries()) {
         for (Direction& each : directions) each.p.resize(entries()), each.q.resize(entries());
         this->memory_size = 3 + (2 + HISTORY) * half;
     }
@@ -73,8 +78,7 @@ struct SkewMidpoint final : Isospectral<T> {
         const T* W = reinterpret_cast<const T*>(x);  // dx is below its last digit
         double *p = numbers_of(P.data()), *d = numbers_of(D.data()), *rest = numbers_of(R.data());
         if (!predict(W, t, h)) return UNDEFINED;
-        const Planes<T> w = of_W.layer();
-        for (int64_t e = 0; e < all; ++e) w.set(e, W[e]);
+        for (int64_t e = 0; e < all; ++e) W_planes.set(e, W[e]);
         this->iterations = 0, this->evaluations = 1;
         this->status = DONE;
         bool corrected = false;
@@ -93,7 +97,7 @@ struct SkewMidpoint final : Isospectral<T> {
         store_history(h, corrected);
         if (corrected) {
             const double scale = 1.0 / this->residual;
-            multiply_change([this, scale](int64_t k) { return rounded(scale * D[k]); }, of_N.layer());
+            multiply_change([this, scale](int64_t k) { return rounded(scale * D[k]); }, low_N);
         }
         increment(corrected);
         this->advance(x, dx, G.data());
@@ -160,13 +164,13 @@ struct SkewMidpoint final : Isospectral<T> {
     // Compute the midpoint M for P, and (h/2) M and (h/2) N, N = M (1 - X) = M + V - Z*, in the lower precision.
     void solve(const T* W, double h) {
         const T* p = P.data();
-        const Planes<T> C = of_C.layer(), Z = of_Z.layer(), V = of_V.layer();
+        const Planes<T> C = this->C, Z = this->Z, V = this->V;
         unpack(C, [=](int64_t k) { return 0.5 * h * p[k]; });
         cayley.transform(C);
-        products.multiply(C, of_W.layer(), Z);
+        products.multiply(C, W_planes, Z);
         for (int64_t e = 0; e < all; ++e) Z.set_with_difference(e, Z.product(e));
         products.lower(Z, C, V, true);
-        const Planes<LowPrecision> low_M = of_M.layer(), low_N = of_N.layer();
+        const Planes<LowPrecision> low_M = this->low_M, low_N = this->low_N;
         const double half_step = 0.5 * h;
         const bool whole = !stream.upper_suffices();
         T* m = M.data();
@@ -185,18 +189,18 @@ struct SkewMidpoint final : Isospectral<T> {
     // Y := B D A for the D of these packed entries.
     template <class Value>
     void multiply_change(const Value& value, const Planes<LowPrecision>& A) {
-        const Planes<LowPrecision> changed = of_D.layer(), U = of_U.layer();
+        const Planes<LowPrecision> U = this->U;
         unpack(changed, value);
-        low.multiply(of_B.layer(), changed, U);
+        low.multiply(B, changed, U);
         for (int64_t e = 0; e < all; ++e) U.set(e, U.product(e));
-        low.multiply(U, A, of_Y.layer());
+        low.multiply(U, A, Y);
     }
 
     // image := K D, on and above the diagonal, for the D of these packed entries.
     template <class Value>
     void apply_slope(const Value& value) {
-        multiply_change(value, of_M.layer());
-        const Planes<LowPrecision> Y = of_Y.layer();
+        multiply_change(value, low_M);
+        const Planes<LowPrecision> Y = this->Y;
         const bool whole = !stream.upper_suffices();
         T* moved = G.data();
         each_pair(n, [=](int64_t e, int64_t f) {
@@ -210,8 +214,8 @@ struct SkewMidpoint final : Isospectral<T> {
 
     // G := 2 (Z - Z*) + 4 V, and with `corrected` 2 (Y - Y*) of the last change of P.
     void increment(bool corrected) {
-        const Planes<T> Z = of_Z.layer(), V = of_V.layer();
-        const Planes<LowPrecision> Y = of_Y.layer();
+        const Planes<T> Z = this->Z, V = this->V;
+        const Planes<LowPrecision> Y = this->Y;
         T* move = G.data();
         const double twice = 2.0 * this->residual;
         each_pair(n, [=](int64_t e, int64_t f) {
@@ -230,8 +234,8 @@ struct SkewMidpoint final : Isospectral<T> {
     bool correct(double enough) {
         std::copy_n(F.data(), entries(), D.data());
         if (!stream.linear()) return false;
-        const Planes<T> C = of_C.layer();
-        const Planes<LowPrecision> B = of_B.layer();
+        const Planes<T> C = this->C;
+        const Planes<LowPrecision> B = this->B;
         for (int64_t e = 0; e < all; ++e) B.set(e, rounded(C.at(e)));
         for (int64_t e = 0; e < all; e += n + 1) B.set(e, B.at(e) + LowPrecision(1));
         // The lower precision has a small range: residuals are in units of the first one.
@@ -305,9 +309,9 @@ struct SkewMidpoint final : Isospectral<T> {
 
     static float* row(std::vector<LowPrecision>& of) { return reinterpret_cast<float*>(of.data()); }
 
-    // memory: the number of steps that it knows, their length, the row that was written last, M of the last step, K D of
-    // its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and smooth in
-    // time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a function.)
+    // memory: the number of steps that it knows, their length, the row that was written last, M of the last step, K D
+    // of its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and smooth
+    // in time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a function.)
     bool known_steps(double h) const {
         return this->memory && this->memory[0] == this->memory[0] && this->memory[1] == h;
     }
