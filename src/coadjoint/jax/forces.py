@@ -13,7 +13,7 @@ from jax import lax
 from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
+from coadjoint.jax.stage_steps import StageField, Steps, fixed_point
 from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
@@ -60,7 +60,7 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
         return lax.scan(scanned, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
     functions = *inner.functions, *(one for reader in readers for one in reader.functions)
-    return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step, functions=functions)
+    return Steps(lambda energy: (inner.constants(energy), energy), step, step, functions=functions)
 
 
 class ForceReaders:
@@ -234,17 +234,13 @@ class ForceReaders:
         def damped(energy: Any, x: Any, t: Any, tau: Any) -> Any:
             shorter = inverse_lengths(x)
 
-            def improved(middle: Any, _: Any) -> Any:
+            def rotation(middle: Any) -> Any:
                 slopes = self.field.slopes(energy, middle, t + 0.5 * tau)
                 v = tau * shorter * _applied(metric, self.field.product(middle, slopes))
-                if spins is not None:
-                    v = v + tau * spins.added * slopes
-                found = self.field.exponential(0.5 * v, x)
-                return found, (v, jnp.max(jnp.abs(found - middle)))
+                return v if spins is None else v + tau * spins.added * slopes
 
-            _, (v, corrections) = lax.scan(improved, x, None, length=ITERATIONS)
-            converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(x))
-            return jnp.where(converged, self.field.exponential(v[-1], x), jnp.nan)
+            middle = fixed_point(lambda middle: self.field.exponential(0.5 * rotation(middle), x), x, jnp.abs(x))
+            return self.field.exponential(rotation(middle), x)
 
         if noise is None:
             return lambda energy, x, t, tau, member: damped(energy, x, t, tau)

@@ -38,12 +38,13 @@ class ParametrizedRun:
         t_eval: Any,
         caller: str,
         *,
-        takes_inputs: bool = False,
+        compiled: bool = True,
     ) -> None:
+        # If it is not `compiled`, the caller has its own derivatives and takes inputs.
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
-        if prepared.inputs is not None and (prepared.system.is_batch or not takes_inputs):
-            of_batch = " of a batch" if takes_inputs else ""
+        if prepared.inputs is not None and (prepared.system.is_batch or compiled):
+            of_batch = "" if compiled else " of a batch"
             raise TypeError(f"{caller} was given a run{of_batch} prepared with inputs; prepare without inputs=")
         if len(prepared.system.shape) > 1:
             raise TypeError(
@@ -61,7 +62,8 @@ class ParametrizedRun:
         self.times, self.moments = times, moments = prepared.times_of(t_span, save_every, t_eval)
         if moments is not None:
             check_partial_steps(prepared.system, moments, differentiated=True)
-        self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
+        if compiled:
+            self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)
