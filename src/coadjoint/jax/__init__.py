@@ -311,14 +311,15 @@ def solution(
         raise TypeError("co.jax.solution was given a step or a method for a prepared run, which has its own; omit them")
     learned = type(ready) is PreparedRun and energy_of(ready.system) is not None
     compute: Callable[..., Any]
-    if backend == "xla" or (backend is None and learned):
+    on_xla = learned if backend is None else backend == "xla"
+    if on_xla:
         compute = XlaRun(ready, t_span, save_every, t_eval)
     else:
         compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution"))
 
     def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""
-        if learned and NAME in parameters and not isinstance(compute, XlaRun):
+        if learned and NAME in parameters and not on_xla:
             raise ValueError('params are taken by backend="xla" only; compiled loops have those given to co.jax.energy')
         return compute(x0, attitude0, parameters)
 

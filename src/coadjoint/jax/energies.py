@@ -9,12 +9,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from coadjoint.jax.primitives import doubles
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import parameters_of_function, without_multiples
+from coadjoint.validation import is_real
 
 NAME = "params"
 """The argument of a run with the parameters of its energy."""
@@ -92,7 +92,7 @@ def read_params(params: Any, owner: str) -> Any:
     """Return the parameters of an energy, a pytree, as arrays of float64; `owner` names them in messages."""
 
     def leaf(path: Any, one: Any) -> Any:
-        if _is_of_torch(one) or not (np.isscalar(one) or hasattr(one, "dtype")) or isinstance(one, str | bool):
+        if _is_of_torch(one) or not (is_real(one) or hasattr(one, "dtype")):
             raise TypeError(
                 f"{_name(path)} of {owner} is {short(one)}; parameters are arrays of JAX or NumPy, in lists, "
                 "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"

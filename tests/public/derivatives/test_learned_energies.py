@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import coadjoint as co
 from long import long_beyond
 from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 jax = pytest.importorskip("jax")
 jnp = jax.numpy
@@ -166,6 +168,28 @@ def invariants(system, x):
     return {name: np.array([float(C(one)) for one in np.atleast_2d(x)]) for name, C in system.casimirs.items()}
 
 
+@pytest.mark.parametrize(
+    "name", long_beyond(1, ["e(3)", "sl(2)", "so(3)", "e(2)", "heisenberg(2)", "A4,10", "A4,1", "A4,7"])
+)
+def test_coadjoint_motions_are_those_of_scipy(name):
+    """Small and large angles of one feature along any direction, and the derivatives by it."""
+    algebra, rng = get(name), np.random.default_rng(4)
+    n = algebra.dim
+    a, da, x = rng.standard_normal((3, n))
+    H = co.jax.features(lambda y, w: w * y, a[None], jnp.ones(1))
+    run = co.jax.solution(co.LiePoissonSystem(algebra, H, sign=-1), (0, 1), method=co.Splitting(order=1), step=1.0)
+    end = jax.jit(lambda a: run(x, params=(a[None], jnp.ones(1)))[-1])
+    D, dD = (-np.stack([algebra.structure_matrix(e) @ one for e in np.eye(n)], 1) for one in (a, da))
+    for size in (1e-9, 1e-3, 0.1) if name == "A4,7" else (1e-9, 1e-3, 0.5, 1.0, 2.0, 10.0):
+        block = expm(size * np.block([[D, dD], [0 * D, D]]))
+        found, slope = jax.jvp(end, (size * a,), (size * da,))
+        bound = (
+            200 * UNIT_ROUNDOFF * max(1.0, size * np.linalg.norm(D, 2)) * np.linalg.norm(block, 2) * np.linalg.norm(x)
+        )
+        assert np.max(np.abs(found - block[:n, :n] @ x)) < bound
+        assert np.max(np.abs(slope - block[:n, n:] @ x)) < bound
+
+
 ALGEBRAS = ["A3,7", "so(3)", "e(3)", "su(3)", "so(5)", "A4,10", "heisenberg(2)"]
 
 
@@ -269,11 +293,16 @@ def test_states_near_equilibrium_and_flows_that_turn_too_far():
     run = co.jax.solution(system, (0, 1), method=co.GaussLegendre(2), step=0.1)
     x0 = np.array([0.3, 1e-9, 0.7])
     np.testing.assert_allclose(run(x0, params={**params, "in": 1e-17 * jnp.ones((4, 3))})[-1], x0, rtol=0, atol=1e-15)
-    H = co.jax.features(lambda y, w: w * y, jnp.eye(1, 3), jnp.ones(1))
-    turn = co.jax.solution(co.LiePoissonSystem(get("so(3)"), H), (0, 1), method=co.Splitting(), step=1.0)
-    found = turn(jnp.ones(3), params=(jnp.eye(1, 3), jnp.array([3.9])))[-1]
+
+    def turned(algebra, angle):
+        n = get(algebra).dim
+        H = co.jax.features(lambda y, w: w * y, jnp.eye(1, n), jnp.ones(1))
+        turn = co.jax.solution(co.LiePoissonSystem(get(algebra), H), (0, 1), method=co.Splitting(), step=1.0)
+        return turn(jnp.ones(n), params=(jnp.eye(1, n), jnp.array([angle])))[-1]
+
+    found = turned("so(3)", 3.9)
     np.testing.assert_allclose(found, [1, np.cos(3.9) - np.sin(3.9), np.cos(3.9) + np.sin(3.9)], rtol=0, atol=1e-14)
-    assert np.isnan(turn(jnp.ones(3), params=(jnp.eye(1, 3), jnp.array([4.1])))[-1]).all()
+    assert np.isfinite(turned("so(5)", 3.9)).all() and np.isnan(turned("so(5)", 4.1)).all()
 
 
 OfTorch = type("Tensor", (), {"__module__": "torch", "__call__": lambda self, x: x})
