@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -149,16 +150,18 @@ class Bracket:
         return self._by_series(v, x) if self._square is None else self._in_closed_form(v, x)
 
     def _in_closed_form(self, v: Any, x: Any) -> Any:
-        """Return the sum of powers up to the fifth, for an algebra with D (D^2 - z)^2 = 0 and z = v . square v."""
-        z = v @ self._square @ v
+        """Return a sum of powers, for an algebra with D (D^2 - z)^p = 0 and z = v . square v, where p is 1 or 2."""
+        square, p = self._square
+        z = v @ square @ v
         powers = [x]
-        for _ in range(5):
+        for _ in range(2 * p + 1):
             powers.append(self.product(powers[-1], v))
         total = x + powers[1]
-        # The even and the odd part are functions of D^2, equal to 1 at 0, which are known with slopes at z.
+        # The even and the odd part are functions of D^2, equal to 1 at 0, which are known at z, for p = 2 with slopes.
         for first in (0, 1):
-            rest, slope = jax.value_and_grad(_remainder)(z, first)
-            total = total + (rest - z * slope) * powers[first + 2] + slope * powers[first + 4]
+            rest, slope = jax.value_and_grad(_remainder)(z, first) if p > 1 else (_remainder(z, first), 0.0)
+            total = total + (rest - z * slope) * powers[first + 2]
+            total = total + slope * powers[first + 4] if p > 1 else total
         return total
 
     def _by_series(self, v: Any, x: Any) -> Any:
@@ -176,22 +179,22 @@ class Bracket:
 
 
 def _common_square(algebra: Any) -> Any:
-    """Return a matrix B with D_v (D_v^2 - z)^2 = 0 and z = v . B v, where all D_v have one nonzero square; or None."""
+    """Return a matrix B, and p = 1 or 2, with D_v (D_v^2 - z)^p = 0 and z = v . B v for all v; or None."""
     n, (i, j, k, c) = algebra.dim, algebra.triples
     each = np.zeros((n, n, n))  # of the direction, row and column of D
     np.add.at(each, (np.append(j, i), np.append(i, j), np.append(k, k)), np.append(c, -c))
     traces = np.einsum("aij,bji->ab", each, each)
     directions = np.random.default_rng(SEED).uniform(-1.0, 1.0, (3, n))
-    for count in range(2, n + 1, 2):  # of nonzero eigenvalues
+    for count, p in product(range(2, n + 1, 2), (1, 2)):  # of nonzero eigenvalues
         square = traces / count
         for v in directions:
-            D = np.einsum("a,aij->ij", v, each)
-            N = D @ D - (v @ square @ v) * np.eye(n)
-            size = np.max(np.abs(D @ D), initial=0.0) + abs(v @ square @ v)
-            if np.max(np.abs(D @ N @ N), initial=0.0) > ZERO * size**2.5:
+            D, z = np.einsum("a,aij->ij", v, each), v @ square @ v
+            size = np.max(np.abs(D @ D), initial=0.0) + abs(z)
+            rest = D @ np.linalg.matrix_power(D @ D - z * np.eye(n), p)
+            if np.max(np.abs(rest), initial=0.0) > ZERO * size ** (p + 0.5):
                 break
         else:
-            return square
+            return square, p
     return None
 
 
