@@ -25,7 +25,8 @@ class ParametrizedEnergy:
 
     caller = "co.jax.energy"
     of_jax = True
-    counts, taken = (2, 3), "(x, params) or (x, params, t)"
+    counts: tuple[int, ...] = (2, 3)
+    taken = "(x, params) or (x, params, t)"
 
     def __init__(self, function: Callable[..., Any], params: Any) -> None:
         self.function, self.params = function, read_params(params, self.caller)

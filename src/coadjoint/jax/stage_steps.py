@@ -138,7 +138,7 @@ class Bracket:
         i, j, k, c = algebra.triples
         self.products = np.append(j, i), np.append(k, k)
         self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (algebra.dim, 2 * len(c)))
-        self._square = None if algebra.dim > MOST_COORDINATES else _common_square(algebra)
+        self._square: Any = None if algebra.dim > MOST_COORDINATES else _common_square(algebra)
 
     def product(self, x: Any, u: Any) -> Any:
         """Return sign J(x) u."""
