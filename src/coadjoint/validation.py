@@ -7,6 +7,7 @@ import inspect
 import math
 import numbers
 import pkgutil
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import islice
 from pathlib import Path
@@ -186,8 +187,19 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
         raise TypeError(
             f"{what} is a tensor with requires_grad, whose gradients would be lost; use co.torch, or give its detach()"
         )
+    elif _is_traced(values):
+        raise TypeError(
+            f"{what} is a value that JAX traces, in grad, jit or vmap, and no number; use co.jax.solution, a run as a "
+            "function of JAX"
+        )
     else:
         reject_lost_labels(values, what)
+
+
+def _is_traced(values: Any) -> bool:
+    """Return whether a value is a tracer of JAX, without importing JAX."""
+    jax = sys.modules.get("jax")
+    return jax is not None and isinstance(values, jax.core.Tracer)
 
 
 def reject_lost_labels(values: Any, what: str) -> None:

@@ -10,12 +10,136 @@ from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.system import System
 
-__all__ = ["free_body", "solution"]
+__all__ = ["PoissonMap", "energy", "features", "free_body", "solution"]
 
 TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from coadjoint.jax.poisson_map import PoissonMap
 
 BACKENDS = ("compiled", "xla")
+
+
+def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
+    """Return an energy H(x, params) of JAX, such as a neural network, as a Hamiltonian at these parameters.
+
+    Use it to learn an energy that is no polynomial: runs by `solution` take other ``params=`` and are differentiated by
+    them. (`coadjoint.identify` finds polynomials by linear regression.) Whatever the parameters are, the motion has the
+    Casimirs of the algebra. If the energy is a sum of functions of one linear combination of coordinates each, take
+    `features`, which `Splitting` integrates explicitly.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(x, params)``, or ``function(x, params, t)``, of a state (n,), returns one number by operations of
+        JAX that are differentiable twice.
+    params : pytree of arrays of float64
+        Weights, such as dictionaries and lists of arrays, of flax, or the first result of ``equinox.partition``.
+
+    Returns
+    -------
+    Hamiltonian
+        H(x) at these parameters, for a `LiePoissonSystem`, or a piece of a `SplitHamiltonian`, of commuting
+        coordinates. It has all runs of functions of JAX; compiled loops call it in Python.
+
+    Raises
+    ------
+    ImportError
+        JAX is not installed; the extra is ``coadjoint[jax]``.
+    TypeError
+        The function takes other arguments; a parameter is no array, as a tensor of PyTorch or a function, or is not of
+        float64, which JAX has with ``jax.config.update("jax_enable_x64", True)``.
+
+    See Also
+    --------
+    solution : Runs as functions of x0 and params.
+    coadjoint.identify : Polynomials by linear regression.
+
+    Examples
+    --------
+    The derivative of the end of a run by the weights:
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import coadjoint as co
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> def network(x, params):
+    ...     return params["out"] @ jnp.tanh(params["in"] @ x)
+    >>> params = {"in": jnp.eye(4, 3), "out": jnp.arange(4.0)}
+    >>> system = co.LiePoissonSystem(co.algebras.so(3), co.jax.energy(network, params), sign=-1)
+    >>> run = co.jax.solution(system, (0, 10), method=co.GaussLegendre(1), step=0.1)
+    >>> x0 = jnp.array([1.0, 0.2, 0.5])
+    >>> gradient = jax.grad(lambda params: run(x0, params=params)[-1, 0])(params)
+    >>> gradient["in"].shape
+    (4, 3)
+    """
+    require_packages("co.jax.energy", "jax")
+    from coadjoint.jax.energies import ParametrizedEnergy
+
+    return Hamiltonian(ParametrizedEnergy(function, params))
+
+
+def features(function: Callable[..., Any], directions: Any, params: Any) -> Hamiltonian:
+    """Return the energy sum_k f(<a_k, x>, w_k) of directions a_k, as a Hamiltonian at these a and w.
+
+    Use it to learn an energy by explicit steps: the flow of each feature is a coadjoint motion in closed form, on every
+    algebra, so that `Splitting` of every order is a Poisson map with all Casimirs, for every a and w. The directions
+    are learned too. Sums of such features approximate every energy.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(y, params)`` of a number y and the parameters of one feature; returns a number by operations of JAX.
+    directions : (features, n)
+        The directions a, of float64.
+    params : pytree of arrays of float64
+        The parameters w, each with a first axis of features.
+
+    Returns
+    -------
+    Hamiltonian
+        Its runs by `solution` take and differentiate ``params=(directions, params)``.
+
+    Raises
+    ------
+    ImportError
+        JAX is not installed; the extra is ``coadjoint[jax]``.
+    TypeError
+        As `energy`.
+    ValueError
+        Wrong shapes.
+
+    Notes
+    -----
+    Since <a, x> is constant along the flow of f(<a, x>), it is x(t) = exp(t f'(<a, x>) D) x with D x = sign J(x) a. The
+    exponential is a series; where the norm of the matrix exceeds 4 in one flow, the states are NaN. Compiled loops have
+    no such flows: `integrate` takes `GaussLegendre` with this energy.
+
+    See Also
+    --------
+    energy : Energies of any form.
+    PoissonMap : Flows of features as the layers of a map.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import coadjoint as co
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> H = co.jax.features(lambda y, w: w * jnp.cosh(y), jnp.eye(5, 6), jnp.arange(1.0, 6.0))
+    >>> system = co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
+    >>> run = co.jax.solution(system, (0, 1), method=co.Splitting(order=4), step=0.1)
+    >>> x = run(jnp.array([0.1, 0.2, 0.3, 0.6, 0.0, 0.8]))
+    >>> bool(abs((x[:, 3:] ** 2).sum(axis=1) - 1.0).max() < 1e-14)
+    True
+    """
+    require_packages("co.jax.features", "jax")
+    from coadjoint.jax.energies import FeatureEnergy
+
+    return Hamiltonian(FeatureEnergy(function, (directions, params)))
 
 
 def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
@@ -90,12 +214,14 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
 
 
 def solution(
-    ready: PreparedRun,
+    ready: PreparedRun | System,
     t_span: tuple[float, float],
     save_every: int = 1,
     *,
+    method: Any = None,
+    step: float | None = None,
     t_eval: Any = None,
-    backend: str = "compiled",
+    backend: str | None = None,
 ) -> Callable[..., Any]:
     """Return a run as a function of JAX, of the initial state and parameters of the system.
 
@@ -105,15 +231,20 @@ def solution(
 
     Parameters
     ----------
-    ready : PreparedRun
-        The prepared run, with a step, of a scheme with derivatives.
+    ready : PreparedRun or System
+        The prepared run, with a step, of a scheme with derivatives; or a system, with `step` and `method` as in
+        `prepare`.
     t_span, save_every, t_eval
         As in `PreparedRun.run`.
-    backend : {"compiled", "xla"}
-        Where runs are computed. ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX,
-        on all devices, from the table of a splitting, or with 20 iterations in each step of `GaussLegendre`; with
-        forces, batches, inputs of the energy, and attitudes by splittings; for fluids of matrices by `IsospectralGauss`
-        and its compositions, with viscosity and friction; not for other schemes and compensated sums.
+    method, step
+        Scheme and step of a system; of a prepared run they are its own.
+    backend : {"compiled", "xla"}, optional
+        Where runs are computed. None is ``"xla"`` for energies of `energy` and `features`, else ``"compiled"``.
+        ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX, on all devices, from the
+        table of a splitting, by flows of features, or with at most 50 iterations in each step of `GaussLegendre`; with
+        forces, batches, inputs of the energy, and attitudes by splittings; for fluids of matrices by
+        `IsospectralGauss` and its compositions, with viscosity and friction; not for other schemes and compensated
+        sums.
         The numbers agree to rounding, those of noise too. See docs/derivatives.md.
 
     Returns
@@ -122,8 +253,9 @@ def solution(
         A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (k, n) for x0 of shape (n,) and
         (k, members, n) for (members, n), where matrices have the axes (N, N) in place of n; for a run prepared with an
         attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
-        and default to these values; with inputs they are the inputs. A system with other values is prepared in each
-        call, and the last one is cached.
+        and default to these values; with inputs they are the inputs; of an energy of `energy` or `features` they are
+        ``params``. A system with other parameters is prepared in each call, and the last one is cached; other inputs
+        and params need no preparation.
 
     Raises
     ------
@@ -132,7 +264,7 @@ def solution(
     TypeError
         The run has no derivatives or is not supported by the backend; a function of a force or Hamiltonian has other
         values where JAX traces it than compiled; or numbers are not of float64, which JAX has with
-        ``jax.config.update("jax_enable_x64", True)``.
+        ``jax.config.update("jax_enable_x64", True)``. A step or scheme for a prepared run, or none for a system.
     ValueError
         For unknown names, wrong shapes, and initial states and attitudes that `PreparedRun.run` refuses.
     IntegrationError
@@ -167,24 +299,44 @@ def solution(
     >>> bool(loss(inertia - 1e-3 * gradient) < before)
     True
     """
-    if backend not in BACKENDS:
+    if backend not in (None, *BACKENDS):
         raise unknown_name("backend", backend, BACKENDS)
     require_packages("co.jax.solution", "jax")
+    from coadjoint.jax.energies import NAME, energy_of
     from coadjoint.jax.primitives import solve
     from coadjoint.jax.xla_run import XlaRun
 
+    if isinstance(ready, System):
+        if step is None:
+            raise TypeError(f"co.jax.solution was given {short(ready)} without a step; give step=, and method=")
+        ready = PreparedRun(ready, method, step)
+    elif method is not None or step is not None:
+        raise TypeError("co.jax.solution was given a step or a method for a prepared run, which has its own; omit them")
+    learned = type(ready) is PreparedRun and energy_of(ready.system) is not None
     compute: Callable[..., Any]
-    if backend == "xla":
+    on_xla = learned if backend is None else backend == "xla"
+    if on_xla:
         compute = XlaRun(ready, t_span, save_every, t_eval)
     else:
         compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution"))
 
     def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""
+        if learned and NAME in parameters and not on_xla:
+            raise ValueError('params are taken by backend="xla" only; compiled loops have those given to co.jax.energy')
         return compute(x0, attitude0, parameters)
 
     return solution_of
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-    __getattr__, __dir__ = refuse_others("co.jax", __all__)
+    _refuse, __dir__ = refuse_others("co.jax", __all__)
+
+    def __getattr__(name: str) -> Any:
+        """Import the class, which needs JAX."""
+        if name != "PoissonMap":
+            return _refuse(name)
+        require_packages("co.jax.PoissonMap", "jax")
+        from coadjoint.jax.poisson_map import PoissonMap
+
+        return PoissonMap

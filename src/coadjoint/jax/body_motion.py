@@ -31,8 +31,9 @@ UPRIGHT = 0.9
 AXES = (2, 0, 1, 2)
 
 
-Angles = tuple[Callable[[Any], Any], Callable[[Any, Any, Any, Any], Any]]
-"""The constants of a part from the numbers of its table, and angles of its flow, of these, tau, a state and a time."""
+Angles = tuple[Callable[[Any], Any], Callable[[Any, Any, Any, Any, Any], Any]]
+"""The constants of a part from the numbers of its table, and angles of its flow, of these, params of the energy, tau,
+a state and a time."""
 
 
 def body_angles(table: Mapping[str, Any], part: int) -> Angles:
@@ -71,7 +72,7 @@ def body_angles(table: Mapping[str, Any], part: int) -> Angles:
     def constants(numbers: Any) -> Any:
         return jnp.zeros(shape).at[owner, cell].set(factor * numbers[index])
 
-    def at(inverse_inertia: Any, tau: Any, x: Any, t: Any) -> Any:
+    def at(inverse_inertia: Any, params: Any, tau: Any, x: Any, t: Any) -> Any:
         z = momenta.times(x).reshape(-1, 3)
         quaternion = _bond_quaternion if is_bond else _body_quaternion
         angles = jax.vmap(lambda m, z: _angles(quaternion(m, z)))(tau * inverse_inertia, z)

@@ -14,7 +14,7 @@ from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
 from coadjoint.jax.matrix_forces import MatrixForceReader
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
+from coadjoint.jax.stage_steps import StageField, Steps, fixed_point
 from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
@@ -72,7 +72,7 @@ def steps_between_forces(inner: Steps, system: Any, field: Any, scheme: Forced) 
     functions = *inner.functions, *(one for reader in readers for one in reader.functions)
 
     def constants_of(energy: Any) -> Any:
-        return inner.constants(energy), jnp.asarray(energy)
+        return inner.constants(energy), energy
 
     if not unfinished:
         return Steps(constants_of, step, step, functions=functions)
@@ -252,17 +252,13 @@ class ForceReaders:
         def damped(energy: Any, x: Any, t: Any, tau: Any) -> Any:
             shorter = inverse_lengths(x)
 
-            def improved(middle: Any, _: Any) -> Any:
+            def rotation(middle: Any) -> Any:
                 slopes = self.field.slopes(energy, middle, t + 0.5 * tau)
                 v = tau * shorter * _applied(metric, self.field.product(middle, slopes))
-                if spins is not None:
-                    v = v + tau * spins.added * slopes
-                found = self.field.exponential(0.5 * v, x)
-                return found, (v, jnp.max(jnp.abs(found - middle)))
+                return v if spins is None else v + tau * spins.added * slopes
 
-            _, (v, corrections) = lax.scan(improved, x, None, length=ITERATIONS)
-            converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(x))
-            return jnp.where(converged, self.field.exponential(v[-1], x), jnp.nan)
+            middle = fixed_point(lambda middle: self.field.exponential(0.5 * rotation(middle), x), x, jnp.abs(x))
+            return self.field.exponential(rotation(middle), x)
 
         if noise is None:
             return lambda energy, x, t, tau, member: damped(energy, x, t, tau)

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from itertools import product
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 
+from coadjoint.algebra.invariants.sampled_checks import SEED
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
 from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
-ITERATIONS = 20
-"""Function iterations of a step: an error that halves in each of them is then 1e-6 of that of the first guess."""
-# Largest last correction of the stages, relative to them; those of a step that has not converged are NaN.
-LARGEST_CORRECTION = 1e-10
+MOST_ITERATIONS = 50
+"""Most function iterations: an error that halves in each of them is then round-off."""
+# Largest last correction of a fixed point, relative to it, beyond round-off; one that has not converged is NaN.
+LARGEST_CORRECTION = 1e-13
 # Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
 TERMS, MOST_PARTS = 18, 4
+# Largest dimension in which closed forms of exponentials are looked for, and zero for them, relative to the terms.
+MOST_COORDINATES, ZERO = 32, 1e-12
+SERIES = 8  # terms of functions of an argument below one, which are 1/20! then
 # Entries of matrices that are stored with their zeros: products of small ones are faster than gathers.
 MOST_DENSE = 2**12
 
@@ -51,18 +59,66 @@ def sparse(rows: Any, columns: Any, values: Any, shape: tuple[int, int]) -> Spar
     return Sparse(jnp.zeros((shape[0], width)).at[rows, place].add(values), padded)
 
 
+SAVED = "fixed point"
+"""Name of the fixed points that reverse mode stores in place of solving for them again."""
+
+
+def _iterated(function: Callable[[Any], Any], first: Any, size: Any) -> Any:
+    """Return the limit of iterations from a first guess, NaN without one; entries have the round-off of `size` too."""
+
+    def unfinished(carry: Any) -> Any:
+        _, _, correction, previous, k = carry
+        falling = (correction < previous) | (correction > LARGEST_CORRECTION)
+        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < MOST_ITERATIONS)
+
+    def improved(carry: Any) -> Any:
+        z, _, correction, _, k = carry
+        found = function(z)
+        change, reach = jnp.abs(found - z), jnp.abs(found) + size
+        return found, jnp.max(change), jnp.max(jnp.where(change > 0.0, change / reach, 0.0)), correction, k + 1
+
+    z, change, *_ = lax.while_loop(unfinished, improved, (first, jnp.inf, jnp.inf, jnp.inf, 0))
+    allowed = LARGEST_CORRECTION * jnp.max(jnp.abs(z)) + 16.0 * UNIT_ROUNDOFF * jnp.max(size)
+    return jnp.where(change <= allowed, z, jnp.nan)
+
+
+def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0) -> Any:
+    """Return z = function(z) by iterations from a first guess, differentiated as the solution of this equation."""
+
+    def residual(z: Any) -> Any:
+        return function(z) - z
+
+    def solve(_: Any, z: Any) -> Any:
+        return _iterated(function, z, lax.stop_gradient(size))
+
+    def solve_linear(matrix: Callable[[Any], Any], b: Any) -> Any:
+        return _iterated(lambda z: matrix(z) + z - b, jnp.zeros_like(b), jnp.max(jnp.abs(b)))
+
+    def solve_tangent(matrix: Callable[[Any], Any], b: Any) -> Any:
+        return lax.custom_linear_solve(matrix, b, solve_linear, solve_linear)
+
+    return checkpoint_name(lax.custom_root(residual, first, solve, solve_tangent), SAVED)
+
+
 def _unchanged(constants: Any, state: Any, *_: Any) -> Any:
     return state
+
+
+class EnergyNumbers(NamedTuple):
+    """The numbers of the energy of a run: coefficients of its monomials, and the params of its function or None."""
+
+    coefficients: Any
+    params: Any = None
 
 
 class Steps(NamedTuple):
     """Steps of a scheme on (momentum, rows of a group element or None), unfinished between `begin` and `finish`.
 
     `begin` returns the unfinished state with the unit element; `finish` that with the attitude from the start of a run.
-    `constants(energy)` are those for coefficients of the energy.
+    `constants(energy)` are those for `EnergyNumbers`.
     """
 
-    constants: Callable[[Any], Any]
+    constants: Callable[[EnergyNumbers], Any]
     step: Callable[..., Any]
     """A step of an unfinished state: of constants, state, t, h and the number of the member."""
     whole: Callable[..., Any]
@@ -73,23 +129,103 @@ class Steps(NamedTuple):
     """The functions of the user in the steps."""
 
 
-class StageField:
-    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra."""
+class Bracket:
+    """The products sign J(x) u of a Lie algebra, and the coadjoint action, its exponentials."""
 
-    # `monomials` have coefficients, the energy in the arguments of the methods.
+    def __init__(self, algebra: Any, sign: int) -> None:
+        self.sign = sign
+        # Stored for i < j.
+        i, j, k, c = algebra.triples
+        self.products = np.append(j, i), np.append(k, k)
+        self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (algebra.dim, 2 * len(c)))
+        self._square: Any = None if algebra.dim > MOST_COORDINATES else _common_square(algebra)
+
+    def product(self, x: Any, u: Any) -> Any:
+        """Return sign J(x) u."""
+        j, k = self.products
+        return self.sign * self.rows.times(x[k] * u[j])
+
+    def exponential(self, v: Any, x: Any) -> Any:
+        """Return exp(D_v) x with D_v x = sign J(x) v; NaN by the series if the norm is larger than `MOST_PARTS`."""
+        return self._by_series(v, x) if self._square is None else self._in_closed_form(v, x)
+
+    def _in_closed_form(self, v: Any, x: Any) -> Any:
+        """Return a sum of powers, for an algebra with D (D^2 - z)^p = 0 and z = v . square v, where p is 1 or 2."""
+        square, p = self._square
+        z = v @ square @ v
+        powers = [x]
+        for _ in range(2 * p + 1):
+            powers.append(self.product(powers[-1], v))
+        total = x + powers[1]
+        # The even and the odd part are functions of D^2, equal to 1 at 0, which are known at z, for p = 2 with slopes.
+        for first in (0, 1):
+            rest, slope = jax.value_and_grad(_remainder)(z, first) if p > 1 else (_remainder(z, first), 0.0)
+            total = total + (rest - z * slope) * powers[first + 2]
+            total = total + slope * powers[first + 4] if p > 1 else total
+        return total
+
+    def _by_series(self, v: Any, x: Any) -> Any:
+        def power(carry: Any, k: Any) -> Any:
+            term, total = carry
+            term = self.product(term, v) / (MOST_PARTS * k)
+            return (term, total + term), None
+
+        def part(x: Any, _: Any) -> Any:
+            (_, total), _ = lax.scan(power, (x, jnp.zeros_like(x)), jnp.arange(1.0, TERMS + 1.0))
+            return x + total, None
+
+        norm = jnp.max(Sparse(jnp.abs(self.rows.values), self.rows.columns).times(jnp.abs(v[self.products[0]])))
+        return jnp.where(norm <= MOST_PARTS, lax.scan(part, x, None, length=MOST_PARTS)[0], jnp.nan)
+
+
+def _common_square(algebra: Any) -> Any:
+    """Return a matrix B, and p = 1 or 2, with D_v (D_v^2 - z)^p = 0 and z = v . B v for all v; or None."""
+    n, (i, j, k, c) = algebra.dim, algebra.triples
+    each = np.zeros((n, n, n))  # of the direction, row and column of D
+    np.add.at(each, (np.append(j, i), np.append(i, j), np.append(k, k)), np.append(c, -c))
+    traces = np.einsum("aij,bji->ab", each, each)
+    directions = np.random.default_rng(SEED).uniform(-1.0, 1.0, (3, n))
+    for count, p in product(range(2, n + 1, 2), (1, 2)):  # of nonzero eigenvalues
+        square = traces / count
+        for v in directions:
+            D, z = np.einsum("a,aij->ij", v, each), v @ square @ v
+            size = np.max(np.abs(D @ D), initial=0.0) + abs(z)
+            rest = D @ np.linalg.matrix_power(D @ D - z * np.eye(n), p)
+            if np.max(np.abs(rest), initial=0.0) > ZERO * size ** (p + 0.5):
+                break
+        else:
+            return square, p
+    return None
+
+
+def _remainder(z: Any, first: int) -> Any:
+    """Return (cosh(w) - 1)/w^2, or (sinh(w) - w)/w^3 if `first` is 1, as a function of z = w^2 of either sign."""
+    small, size = jnp.abs(z) < 1.0, jnp.abs(jnp.where(jnp.abs(z) < 1.0, 1.0, z))
+    near = jnp.where(small, z, 0.0)
+    series = jnp.zeros_like(z)
+    for k in range(SERIES, -1, -1):
+        series = series * near + 1.0 / math.factorial(2 * k + 2 + first)
+    w = jnp.sqrt(size)
+    grown = jnp.where(z > 0.0, w, 0.0)
+    if first:
+        far = jnp.where(z < 0.0, (w - jnp.sin(w)) / (w * size), (jnp.sinh(grown) - w) / (w * size))
+    else:
+        far = jnp.where(z < 0.0, 2.0 * (jnp.sin(0.5 * w) / w) ** 2, 2.0 * (jnp.sinh(0.5 * grown) / w) ** 2)
+    return jnp.where(small, series, far)
+
+
+class StageField(Bracket):
+    """The field of a Hamiltonian of polynomials and functions, whose numbers are arguments of the methods."""
 
     def __init__(self, system: Any, monomials: Any) -> None:
-        self.sign, n = system.sign, system.dim
+        super().__init__(system.algebra, system.sign)
+        n = system.dim
         degree = max((len(key) for key in monomials), default=0)
         self.monomials = np.array([[*key, *[n] * (degree - len(key))] for key in monomials], dtype=np.int64)
         others = [term for term in system.hamiltonian.terms() if term.form is None]
         self._gradients = [
             (term.coordinates, gradient_of(term)) for term in others if not isinstance(term, PolynomialTerm)
         ]
-        # Stored for i < j.
-        i, j, k, c = system.algebra.triples
-        self.products = np.append(j, i), np.append(k, k)
-        self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (n, 2 * len(c)))
 
     @property
     def functions(self) -> tuple[TracedFunction, ...]:
@@ -104,47 +240,24 @@ class StageField:
         padded = jnp.append(x, 1.0)
         slopes = jnp.zeros_like(x)
         if len(self.monomials):
-            slopes = jax.grad(lambda x: energy @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
+            slopes = jax.grad(lambda x: energy.coefficients @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
         for coordinates, gradient in self._gradients:
-            slopes = slopes.at[coordinates].add(gradient.at(padded[coordinates], t))
+            slopes = slopes.at[coordinates].add(gradient.at(padded[coordinates], t, energy.params))
         return slopes
-
-    def product(self, x: Any, u: Any) -> Any:
-        """Return sign J(x) u."""
-        j, k = self.products
-        return self.sign * self.rows.times(x[k] * u[j])
-
-    def exponential(self, v: Any, x: Any) -> Any:
-        """Return exp(D_v) x with D_v x = sign J(x) v; NaN if the norm of D_v is larger than `MOST_PARTS`."""
-
-        def power(carry: Any, k: Any) -> Any:
-            term, total = carry
-            term = self.product(term, v) / (MOST_PARTS * k)
-            return (term, total + term), None
-
-        def part(x: Any, _: Any) -> Any:
-            (_, total), _ = lax.scan(power, (x, jnp.zeros_like(x)), jnp.arange(1.0, TERMS + 1.0))
-            return x + total, None
-
-        norm = jnp.max(Sparse(jnp.abs(self.rows.values), self.rows.columns).times(jnp.abs(v[self.products[0]])))
-        return jnp.where(norm <= MOST_PARTS, lax.scan(part, x, None, length=MOST_PARTS)[0], jnp.nan)
 
 
 def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
-    """Return the steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
+    """Return the steps of an implicit Runge-Kutta method; the constants are the numbers of the energy."""
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         x = state[0]
         lengths, times = (h * tableau.scale)[:, None], t + h * tableau.node
         fields = jax.vmap(field.at, (None, 0, 0))
 
-        def improved(slopes: Any, _: Any) -> Any:
-            found = lengths * fields(constants, x + tableau.mix @ slopes, times)
-            return found, jnp.max(jnp.abs(found - slopes))
+        def improved(slopes: Any) -> Any:
+            return lengths * fields(constants, x + tableau.mix @ slopes, times)
 
-        first = jnp.zeros((len(times), len(x)))
-        slopes, corrections = lax.scan(improved, first, None, length=ITERATIONS)
-        converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(slopes))
-        return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan), None  # NaN if the iteration has not converged
+        slopes = fixed_point(improved, jnp.zeros((len(times), len(x))), jnp.abs(x))
+        return x + slopes.sum(axis=0), None
 
-    return Steps(jnp.asarray, step, step, functions=field.functions)
+    return Steps(lambda energy: energy, step, step, functions=field.functions)

@@ -68,9 +68,9 @@ def _part(
     w = table["frequency"][rows]
     safe = np.where(w == 0.0, 1.0, w)
 
-    def flow(constants: Any, tau: Any, t: Any, state: State) -> State:
+    def flow(constants: Any, params: Any, tau: Any, t: Any, state: State) -> State:
         x, elements = state
-        theta = angles(constants, tau, x, t)
+        theta = angles(constants, params, tau, x, t)
         if np.any(w):
             theta = jnp.where(w == 0.0, theta, 2.0 * jnp.arctan(0.5 * safe * theta) / safe)
         for act in layers:
@@ -94,16 +94,15 @@ def table_steps(
     first_rows, step_rows, finish_rows = (range(*table["section"][k : k + 2].tolist()) for k in range(3))
 
     def constants(energy: Any) -> Any:
-        """Return the constants of the parts, and factors of Casimirs; without coefficients those of the table."""
+        """Return the constants of the parts, factors of Casimirs, and params of the energy."""
         numbers = [jnp.asarray(table[name]) for name in DEPENDENT]
         factors = jnp.array([shift["factor"] for shift in table["shift"]])
-        if energy is not None:
-            rest, factors = after_shift(energy, factors)
-            for k, name in enumerate(DEPENDENT):
-                own = table["provenance"][name]
-                numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
+        rest, factors = after_shift(energy.coefficients, factors)
+        for k, name in enumerate(DEPENDENT):
+            own = table["provenance"][name]
+            numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
         joined = jnp.concatenate(numbers)
-        return [constants_of(joined) for constants_of, _ in parts], factors
+        return [constants_of(joined) for constants_of, _ in parts], factors, energy.params
 
     def flows(constants: Any, rows: Sequence[int], t: Any, h: Any, state: State, direction: float = 1.0) -> State:
         """Apply the flows of rows of a step from t, or in the direction -1 those of its inverse."""
@@ -111,7 +110,7 @@ def table_steps(
             return state
         used = list(rows)
         chosen, number = np.unique(table["part"][used], return_inverse=True)
-        each: list[Callable[..., Any]] = [partial(parts[part][1], constants[0][part]) for part in chosen.tolist()]
+        each: list[Callable[..., Any]] = [partial(parts[p][1], constants[0][p], constants[2]) for p in chosen.tolist()]
 
         def flow(state: State, row: Any) -> Any:
             part, coefficient, moment = row
@@ -234,13 +233,13 @@ def _angles(table: Table, gradients: Mapping[int, TracedFunction], first: int, l
         index = np.arange(int(other.sum()))
         return offsets, matrix, sparse(angle[other], index, values[other], (size, len(index)))
 
-    def at(constants: Any, tau: Any, x: Any, t: Any) -> Any:
+    def at(constants: Any, params: Any, tau: Any, x: Any, t: Any) -> Any:
         offsets, matrix, others = constants
         theta = offsets + matrix.times(x)
         if others is not None:
             theta = theta + others.times(jnp.append(x, 1.0)[coordinate[other]].prod(axis=1))
         for start, own, gradient in of_user:
-            theta = theta.at[start : start + len(own)].add(gradient.at(x[own], t))
+            theta = theta.at[start : start + len(own)].add(gradient.at(x[own], t, params))
         return tau * theta
 
     return constants, at

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SEED, sample_points
 from coadjoint.errors import in_one_line
+from coadjoint.jax.energies import ParametrizedEnergy, function_of
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
-from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import first_difference
 
 Floats = NDArray[np.float64]
@@ -221,7 +221,8 @@ class TracedFunction(NamedTuple):
     y are the numbers at `coordinates` of a state; for a flow, followed by others: the step length, and deviates.
     """
 
-    at: Callable[[Any, Any], Any]
+    at: Callable[..., Any]
+    """The values, of y, the time, and the params of the energy."""
     reference: Callable[[], Reference] | None
     coordinates: Any
     what: str
@@ -230,14 +231,16 @@ class TracedFunction(NamedTuple):
 
 def gradient_of(term: FunctionTerm) -> TracedFunction:
     """Return the gradient of a function in its own coordinates, by its derivative or by that of JAX."""
-    what = "a function of the Hamiltonian"
-    value: Any = term.value
-    of_jax = isinstance(value, JaxFunction)
-    gradient = jax.grad(value.function) if of_jax else on_jax(term.gradient, what)
+    what, (function, factor) = "a function of the Hamiltonian", function_of(term)
+    gradient = on_jax(term.gradient, what) if function is None else None
 
-    def given(y: Any, t: Any) -> Any:
-        z = y[0] if term.scalar else y
-        return jnp.reshape(gradient(z, t) if term.timed else gradient(z), y.shape)
+    def given(y: Any, t: Any, params: Any = None) -> Any:
+        z, time = y[0] if term.scalar else y, (t,) if term.timed else ()
+        if gradient is not None:
+            return jnp.reshape(gradient(z, *time), y.shape)
+        if isinstance(function, ParametrizedEnergy):
+            return factor * jax.grad(function.at, 1)(params, z, *time)
+        return factor * jnp.reshape(jax.grad(function)(z, *time), y.shape)
 
     def reference() -> Reference:
         compiled = compiled_derivative(term, "gradient", what)
@@ -246,7 +249,7 @@ def gradient_of(term: FunctionTerm) -> TracedFunction:
         # A table, of a function of this library.
         return lambda y, t: np.ravel(term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ())))
 
-    return TracedFunction(given, None if of_jax else reference, term.coordinates, what)
+    return TracedFunction(given, None if gradient is None else reference, term.coordinates, what)
 
 
 def sample_states(system: Any, x0: Floats | None) -> Sequence[Floats]:

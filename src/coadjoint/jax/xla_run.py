@@ -11,11 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.energies import NAME, energy_of, features_of
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
+from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.isospectral_steps import isospectral_steps, project
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import StageField, Steps, stage_steps
+from coadjoint.jax.stage_steps import SAVED, Bracket, EnergyNumbers, StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
 from coadjoint.jax.traced_functions import compare_with_compiled, sample_states
 from coadjoint.memory import check_available_memory
@@ -35,8 +37,8 @@ from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
 CALLER = 'co.jax.solution with backend="xla"'
 
-# Shorter loops are not divided into segments.
-SHORTEST = 16
+# Loops with fewer numbers in all states of a trajectory are not divided into segments, which are computed twice.
+MOST_STORED = 2**12
 # Segments may be longer than the root of the number of steps by this factor, so that they are of equal length.
 LONGEST = 8
 # A part of the span after which functions are compared with the compiled ones, besides its start.
@@ -48,10 +50,8 @@ class XlaRun:
 
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._prepared = prepared
-        self._run = ParametrizedRun(
-            prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True, takes_matrices=True
-        )
-        inputs = prepared.inputs
+        self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
+        inputs, self._function = prepared.inputs, energy_of(prepared.system)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -88,7 +88,13 @@ class XlaRun:
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
         """Return the states (points, n) or (points, members, n)."""
-        given = self._run.arguments(x0, attitude0, parameters)
+        function, rest = self._function, dict(parameters)
+        if function is None and NAME in rest:
+            raise ValueError(
+                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian"
+            )
+        params = None if function is None else function.checked(rest.pop(NAME, function.params))
+        given = self._run.arguments(x0, attitude0, rest)
         values = doubles(given, np.complex128 if self._is_complex else np.float64)
         self._run.check({name: value.shape for name, value in values.items()})
         if parameters and len(self._system.shape) > 1:
@@ -112,8 +118,8 @@ class XlaRun:
             times = self._t0, self._t0 + SAMPLED_PART * self._h * self._run.times.steps
             compare_with_compiled(self._steps.functions, sample_states(self._system, start), times, 0.5 * self._h)
             self._compared[start is not None] = True
-        found = self.solve(values)
-        if not any(value is None for value in known.values()):
+        found = self.solve(values, params)
+        if NAME not in parameters and not any(value is None for value in known.values()):
             self._run.check_first_step(known)
         return found
 
@@ -131,7 +137,7 @@ class XlaRun:
         """Return the steps and the table of the first member of a batch; set the constants of all members."""
         batch = self._system
         each = [_steps_and_table(system, method, group) for system in batch.distinct]
-        constants = [steps.constants(table["energy"]["coefficients"]) for steps, table in each]
+        constants = [steps.constants(EnergyNumbers(table["energy"]["coefficients"])) for steps, table in each]
         shapes = [jax.tree.map(jnp.shape, one) for one in constants]
         if any(
             shape != shapes[0] or _structure_differs(system, table, batch.distinct[0], each[0][1])
@@ -155,12 +161,13 @@ class XlaRun:
 
     # The steps.
 
-    def _solve(self, values: Mapping[str, Any]) -> Any:
+    def _solve(self, values: Mapping[str, Any], params: Any) -> Any:
         x0, attitude = usable_or_nan(self._system, values["x0"]), values.get("attitude0", self._attitude)
         parameters = {name: value for name, value in values.items() if name not in ("x0", "attitude0")}
-        energy, of_batch = self._energy(parameters), self._constants is not None
+        energy, of_batch = EnergyNumbers(self._energy(parameters), params), self._constants is not None
         constants = self._constants if of_batch else self._steps.constants(energy)
-        members = member_numbers(*map(lax.stop_gradient, (x0, *parameters.values()))) if self._system.has_noise else 0
+        numbers = (x0, *parameters.values(), *jax.tree.leaves(params))
+        members = member_numbers(*map(lax.stop_gradient, numbers)) if self._system.has_noise else 0
         if x0.ndim == len(self._system.shape):
             x, A = self._trajectory(constants, x0, attitude, members)
         else:
@@ -275,6 +282,11 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
     if not system.has_structure_constants:
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
+    features, factor = features_of(system)
+    if features is not None and isinstance(scheme, FlowMethod):
+        if group is not None:
+            raise TypeError(f"{CALLER} computes no attitudes beside energies of co.jax.features; prepare without")
+        return feature_steps(Bracket(system.algebra, system.sign), scheme, features, factor), table
     if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
         if group is not None:
             raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')
@@ -334,10 +346,11 @@ def _of_group(flow_table: Any, group: Any) -> tuple[int | None, list[Any]]:
 
 def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:
     """Return `lax.scan` of a body over numbers, with states stored for reverse mode at segments only."""
-    # The steps of a segment are computed again from its first state, and each step from its own.
-    body, count = jax.checkpoint(body, prevent_cse=False), len(xs)
+    # The steps of a segment are computed again from its first state, and each step from its own and its fixed points.
+    policy, count = jax.checkpoint_policies.save_only_these_names(SAVED), len(xs)
+    body = jax.checkpoint(body, prevent_cse=False, policy=policy)
     root = math.isqrt(count)
-    if count < SHORTEST:
+    if count * sum(np.size(one) for one in jax.tree.leaves(carry)) <= MOST_STORED:
         return lax.scan(body, carry, xs)
     length = next((d for d in range(root, LONGEST * root) if count % d == 0), root)
     whole = count - count % length

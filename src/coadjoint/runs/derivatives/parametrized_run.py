@@ -39,15 +39,15 @@ class ParametrizedRun:
         t_eval: Any,
         caller: str,
         *,
-        takes_inputs: bool = False,
-        takes_matrices: bool = False,
+        compiled: bool = True,
     ) -> None:
+        # If it is not `compiled`, the caller has its own derivatives and takes inputs and matrices.
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
-        if prepared.inputs is not None and (prepared.system.is_batch or not takes_inputs):
-            of_batch = " of a batch" if takes_inputs else ""
+        if prepared.inputs is not None and (prepared.system.is_batch or compiled):
+            of_batch = "" if compiled else " of a batch"
             raise TypeError(f"{caller} was given a run{of_batch} prepared with inputs; prepare without inputs=")
-        if len(prepared.system.shape) > 1 and not takes_matrices:
+        if len(prepared.system.shape) > 1 and compiled:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
                 'prepared.jvp and prepared.vjp, or co.jax.solution with backend="xla"'
@@ -63,7 +63,8 @@ class ParametrizedRun:
         self.times, self.moments = times, moments = prepared.times_of(t_span, save_every, t_eval)
         if moments is not None:
             check_partial_steps(prepared.system, moments, differentiated=True)
-        self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
+        if compiled:
+            self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)

@@ -173,7 +173,7 @@ class Hamiltonian(Summable):
         """Return this Hamiltonian with derivatives derived from its value."""
         result = copy.copy(self)
         values = numbers_at_samples(self._value, n, self.timed)
-        if any(map(is_array_of_jax, values)):
+        if getattr(self._value, "of_jax", False) or any(map(is_array_of_jax, values)):
             check_traceable(self._value, n, self.timed)
             functions: tuple[Any, ...] = tuple(JaxFunction(self._value, order, self.timed) for order in range(3))
             result._derived_by = "derivatives by JAX"
