@@ -267,10 +267,16 @@ class Force {
         const double status = orbit->flow(x, t, tau, true, [&](int half, double* deviates) {
             DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)).fill(n, deviates);
         });
-        evaluations = int64_t(orbit->exponential.evaluations);
-        iterations = int64_t(orbit->exponential.iterations);
-        residual = orbit->exponential.residual;
-        return int64_t(status);
+        return counted(orbit->exponential, int64_t(status));
+    }
+
+    // Take over what a part has counted; return the status.
+    template <class Part>
+    int64_t counted(const Part& part, int64_t status) {
+        evaluations = int64_t(part.evaluations);
+        iterations = int64_t(part.iterations);
+        residual = part.residual;
+        return status;
     }
 
     // Additive noise: `sets` changes by the increments of `extent` Brownian motions, each with the coordinate that it
@@ -294,35 +300,20 @@ class Force {
 
     int64_t shake_by(double* x, double* element, double t, double tau, int64_t member, int64_t side) {
         const double* const sums = increments->of(t, tau, member).sums.data();
-        const int64_t status = int64_t(noise->flow(x, element, t, sums, side, true));
-        evaluations = int64_t(noise->exponential.evaluations);
-        iterations = int64_t(noise->exponential.iterations);
-        residual = noise->exponential.residual;
-        return status;
+        return counted(noise->exponential, int64_t(noise->flow(x, element, t, sums, side, true)));
     }
 
     int64_t lose_casimir(double* x, double t, double tau) {
-        const int64_t status = decay->flow(table.rate[0], x + table.position, t, tau);
-        evaluations = decay->evaluations;
-        iterations = decay->iterations;
-        residual = decay->residual;
-        return status;
+        return counted(*decay, decay->flow(table.rate[0], x + table.position, t, tau));
     }
 
     int64_t rotate_spins(double* x, double t, double tau, int64_t member) {
-        const int64_t status = spins->flow(x, t, tau, member, workspace);
-        evaluations = spins->evaluations;
-        iterations = spins->iterations;
-        residual = spins->residual;
-        return status;
+        return counted(*spins, spins->flow(x, t, tau, member, workspace));
     }
 
     int64_t move_matrix(double* x, double t, double tau, int64_t member) {
         matrix->iterations = matrix->evaluations = 0;
-        const int64_t status = matrix->flow(x, t, tau, member);
-        evaluations = matrix->evaluations;
-        iterations = matrix->iterations;
-        residual = matrix->residual;
+        const int64_t status = counted(*matrix, matrix->flow(x, t, tau, member));
         return status != DONE || finite(n, x) ? status : int64_t(OVERFLOWED);
     }
 

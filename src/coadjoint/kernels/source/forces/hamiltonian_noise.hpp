@@ -93,12 +93,7 @@ class HamiltonianNoise {
         if (!moved) defined = exponential(v.at, 1.0, x, x, moving, restricted);
         if constexpr (Numbers<A>::lanes == 1)
             if (has_group) defined = defined && exponential.turn(v.at, element);
-        if (__builtin_expect(any(moving & !defined), 0)) stop(moving & !defined, exponential.failed(v.at), moving, status);
-    }
-
-    static void stop(const Mask& where, const A& reason, Mask& moving, A& status) {
-        status = select(where, reason, status);
-        moving = moving & !where;
+        if (any(moving & !defined)) stop_members(moving & !defined, exponential.failed(v.at), moving, status);
     }
 
     // Set x to exp(D_v) x, where D_v x = turn x cross v for each spin: a rotation of x in closed form.
@@ -114,8 +109,7 @@ class HamiltonianNoise {
         }
     }
 
-    // As many lanes as stay in registers.
-    typedef std::conditional_t<Numbers<A>::lanes == 1, double, Lanes<NATIVE>> Part;
+    typedef std::conditional_t<Numbers<A>::lanes == 1, double, Lanes<NATIVE>> Part;  // lanes that stay in registers
 
     // Rotate as many members at once as B has lanes.
     template <class B>
@@ -165,17 +159,9 @@ class HamiltonianNoise {
         const Rotation<B> rotation = rotation_by(angle);
         const B first = rotation.sine / angle, second = -(rotation.cosm1 / square);
         B across[3], back[3];
-        cross(x, w, across);
-        cross(across, w, back);
+        cross_of(x, w, across);
+        cross_of(across, w, back);
         for (int a = 0; a < 3; ++a) x[a] = x[a] + fma(first, across[a], second * back[a]);
-    }
-
-    template <class B>
-    static INLINE void cross(const B* x, const B* w, B* out) {
-        for (int a = 0; a < 3; ++a) {
-            const int b = (a + 1) % 3, c = (a + 2) % 3;
-            out[a] = fma(x[b], w[c], -(x[c] * w[b]));
-        }
     }
 
     static double fraction_of(int64_t k, int64_t count) { return count == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER; }
@@ -207,7 +193,7 @@ class HamiltonianNoise {
                 }
                 for (int64_t i = 0; i < n; ++i) to[i] *= size;
             });
-            if (const Mask failing = moving & !(found == A(double(DONE))); any(failing)) stop(failing, found, moving, status);
+            if (const Mask failing = moving & !(found == A(double(DONE))); any(failing)) stop_members(failing, found, moving, status);
             if (any(moving)) move(x, element, moving, status, true);
         }
     }

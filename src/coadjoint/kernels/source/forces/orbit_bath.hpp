@@ -51,11 +51,6 @@ class OrbitBath {
     FieldWorkspace<A> workspace;
     std::deque<RestrictedField> products;  // of each set
 
-    static void stop(const Mask& where, const A& reason, Mask& moving, A& status) {
-        status = select(where, reason, status);
-        moving = moving & !where;
-    }
-
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
     // distribution; the sets are applied one after the other, in the second half in reversed order: a symmetric
     // splitting, of weak order two.
@@ -74,7 +69,7 @@ class OrbitBath {
             }
             const Mask defined = exponential(v.at, 1.0, x, x, moving, &products[set]);
             if (const Mask failing = moving & !defined; any(failing))
-                stop(failing, exponential.failed(v.at), moving, status);
+                stop_members(failing, exponential.failed(v.at), moving, status);
         }
     }
 
@@ -83,7 +78,7 @@ class OrbitBath {
             slope_at(field, constants, y, A(t + 0.5 * tau), A(tau), u.at, slope.at, workspace);
             apply_metric(slope.at, to);
         });
-        if (const Mask failing = moving & !(found == A(double(DONE))); any(failing)) stop(failing, found, moving, status);
+        if (const Mask failing = moving & !(found == A(double(DONE))); any(failing)) stop_members(failing, found, moving, status);
     }
 
     // Set out to P y.

@@ -66,6 +66,13 @@ class ExponentialOfLanes {
     AlignedArray<A> total, image;
 };
 
+// Stop some members for a reason.
+template <class A, class Where, class Mask>
+INLINE void stop_members(const Where& where, const A& reason, Mask& moving, A& status) {
+    status = select(where, reason, status);
+    moving = moving & !where;
+}
+
 // A field with those of its products that have a factor u_i in some columns: all others are zero.
 struct RestrictedField {
     Field field;

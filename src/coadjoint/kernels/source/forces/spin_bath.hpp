@@ -199,21 +199,13 @@ class SpinBath {
         second = select(small, second, -(rotation.cosm1 / square));
     }
 
-    template <class B>
-    static INLINE void cross(const B* x, const B* v, B* out) {
-        for (int a = 0; a < 3; ++a) {
-            const int b = (a + 1) % 3, c = (a + 2) % 3;
-            out[a] = fma(x[b], v[c], -(x[c] * v[b]));
-        }
-    }
-
     // Set out to x of eight spins rotated by v: exp(D_v) x for the bracket J(x) v = x cross v.
     template <class B>
     static INLINE void rotate(const B* v, const B* x, B* out) {
         B across[3], back[3], first, second;
         rotation_by_square(dot(v, v), first, second);
-        cross(x, v, across);
-        cross(across, v, back);
+        cross_of(x, v, across);
+        cross_of(across, v, back);
         for (int a = 0; a < 3; ++a) out[a] = x[a] + fma(first, across[a], second * back[a]);
     }
 
@@ -257,7 +249,7 @@ class SpinBath {
                 y[a] = load<A>(y_at + a * stride + s);
                 u[a] = rows.empty() ? load<A>(&slope[a * stride + s]) : rows(y_at, s, a);
             }
-            cross(y, u, half);
+            cross_of(y, u, half);
             for (int a = 0; a < 3; ++a) half[a] = load<A>(&metric[a * stride + s]) * (factor * half[a]);
             if (adds)
                 for (int a = 0; a < 3; ++a)

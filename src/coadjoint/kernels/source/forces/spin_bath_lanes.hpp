@@ -159,7 +159,7 @@ class SpinBathOfLanes {
                 y[a] = middle.at[a * spins + s];
                 u[a] = gradients.at[a * spins + s];
             }
-            SpinBath::cross(y, u, v);
+            cross_of(y, u, v);
             for (int a = 0; a < 3; ++a) v[a] = A(at_spin(bath.metric, a * spins + s)) * (factor * v[a]);
             for (int a = 0; bath.adds && a < 3; ++a)
                 v[a] = fma(A(0.5 * tau) * turning * A(at_spin(bath.added, a * spins + s)), u[a], inverse.at[s] * v[a]);

@@ -9,6 +9,14 @@
 
 namespace coadjoint {
 
+template <class A>
+INLINE void cross_of(const A* x, const A* v, A* out) {
+    for (int a = 0; a < 3; ++a) {
+        const int b = (a + 1) % 3, c = (a + 2) % 3;
+        out[a] = fma(x[b], v[c], -(x[c] * v[b]));
+    }
+}
+
 // Spins: triples of coordinates (ascending) whose brackets are J(x) u = turn x cross u; all other coordinates commute.
 struct Spins {
     std::vector<int64_t> coordinate[3];
