@@ -53,8 +53,8 @@ def tolerance(system, steps=STEPS):
 EVERY = [name for name in co.systems.names() if co.systems.get(name).has_matrices]
 VARIANTS = {
     "rotating": lambda: made("sphere_euler", rotation=2.0),
-    "with topography": lambda: made("sphere_qg", lamb=3.0, rotation=1.0, topography={(2, 1): 0.3}),
-    "with gamma": lambda: made("torus_qg", gamma=2.0, topography={(1, 2): 0.3}),
+    "with topography": lambda: made("sphere_qg", lamb=3.0, rotation=1.0, topography=((2, 1, 0.3, 0.0),)),
+    "with gamma": lambda: made("torus_qg", gamma=2.0, topography=((1, 2, 0.3, 0.0),)),
     "surface of the torus": lambda: made("surface_qg", surface="torus"),
     "magnetic torus": lambda: made("reduced_mhd", surface="torus"),
     "even": lambda: co.systems.surface_qg(N=6),
