@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.parameters import with_parameters
 
 from . import functions
 from .results import momenta
@@ -57,8 +55,3 @@ def first_fitting(name: str) -> Any:
         with suppress(TypeError, ValueError):
             return system.with_forces(force_on(name, system))
     raise ValueError(f"no system takes {name}")
-
-
-def changed(system: Any) -> Callable[[Mapping[str, Any]], Any]:
-    """Return the function that makes a system for changed values of its parameters."""
-    return lambda values: with_parameters(system, values) if values else system

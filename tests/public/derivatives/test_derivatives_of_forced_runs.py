@@ -1,6 +1,7 @@
 """Derivatives of runs with forces, forward and backward, against each other and against differences of the runs."""
 
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from derivative_checks import DIFFERENCE_ERROR, assert_derivatives
 
 import coadjoint as co
 from guards import bounded_work
-from matrix.forces import changed, first_fitting
+from matrix.forces import first_fitting
 
 F, H = co.forces, 0.0625
 BODY, TOP = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), co.systems.heavy_top(inertia=(1.0, 2.0, 2.5))
@@ -16,6 +17,24 @@ X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 FULL = np.array([[0.3, 0.2, -0.1], [0.0, 0.2, 0.1], [0.1, -0.2, 0.4]])
 AIM = (0.1, 0.2, 0.4)
 METRIC = np.array([[0.7, 0.2, 0.1], [0.2, 0.5, 0.0], [0.1, 0.0, 0.9]])
+
+
+def changed(system):
+    """Return the builder of a ready-made system with forces for changed values of its parameters."""
+
+    def build(values):
+        forces, numbers = [], {name: one.item() if np.ndim(one) == 0 else one for name, one in values.items()}
+        for label, force in zip(system.labels, system.forces, strict=True):
+            own = {k.removeprefix(f"{label}."): one for k, one in numbers.items() if k.startswith(f"{label}.")}
+            named = {k.removeprefix("arguments."): one for k, one in own.items() if k.startswith("arguments.")}
+            own = {k: one for k, one in own.items() if "." not in k}
+            forces.append(replace(force, **own, **({"arguments": named} if named else {})))
+        plain, own = system.unforced, {k: one for k, one in numbers.items() if "." not in k}
+        if own:
+            plain = getattr(co.systems, plain.name)(**{**plain.parameters, **own})
+        return plain.with_forces(*forces)
+
+    return build
 
 
 def acting(base, *forces):
