@@ -89,6 +89,33 @@ def test_every_isospectral_step_solves_the_equation_of_the_midpoint(name, share)
         assert np.abs(after - dense_step(system, before, h)).max() < 32 * np.sqrt(len(W)) * U
 
 
+@pytest.mark.parametrize(
+    ("name", "t0", "unit"),
+    [("sphere 65", 0.0, 1.0), ("sphere 257", 0.0, 1.0), ("so(35)", -3.0, 1e30), ("torus 9", 7.0, 1e-7)],
+)
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_isospectral_steps_predicted_from_earlier_ones_are_those_without(name, t0, unit, side):
+    system = SYSTEMS.get(name, lambda: SPHERE(N=257))()
+    W, h = start(system), side * turning(system, start(system), 0.1)
+    steps = 4 if name == "sphere 257" else 24
+    run = co.integrate(system, unit * W, (t0, t0 + steps * h / unit), abs(h) / unit, co.IsospectralGauss())
+    scheme = co.IsospectralGauss()
+    for before, after in list(pairwise(run.x))[-2:]:
+        plain = np.asarray(scheme.step(system, before, t0, h / unit))
+        # Products round by sqrt(N) U, in the plain step and in this one; a state has lost its compensation, up to U.
+        assert np.abs(after - plain).max() <= 4 * (1 + np.sqrt(system.algebra.N)) * U * unit * np.abs(W).max()
+
+
+def test_predicted_isospectral_steps_take_few_products():
+    system = SPHERE(N=65)
+    W = start(system)
+    h = turning(system, W, 0.1)
+    counts = [co.integrate(system, W, (0.0, n * h), h, co.IsospectralGauss(), save_every=n).stats for n in (40, 80)]
+    # The prediction, the midpoint and one slope are three; round-off of the prediction needs another one at times.
+    assert counts[1].evaluations - counts[0].evaluations <= 40 * 3.75
+    assert counts[1].iterations - counts[0].iterations == 40
+
+
 def test_short_isospectral_steps_round_in_proportion_to_their_length():
     """A step of the fraction 1/1000 of a half turn moves W by a fraction of that size, and rounds as little of it."""
     system = SPHERE(N=8)

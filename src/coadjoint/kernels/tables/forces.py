@@ -206,7 +206,7 @@ class _ForceTableBuilder:
             int(system.complex),
             np.array([factor, *map(adjoint_casimir, blocks)]),
             np.array(numbers, dtype=np.float64),
-            np.array([_product_of(system)], dtype=np.int64),
+            np.array([_product_of(system), blas_address("dgemm")], dtype=np.int64),
             begin=np.array(integers, dtype=np.int64),
             direction=blocks_of_rows(system.algebra),
             position=acting_layers(system),
@@ -225,7 +225,7 @@ class _ForceTableBuilder:
             int(system.complex),
             NO_NUMBERS,
             NO_NUMBERS,
-            np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64),
+            _products_of_noise(system, levels),
             amplitude=float(commuting),
             seed=seed,
             stream=stream,
@@ -238,9 +238,8 @@ class _ForceTableBuilder:
     def mode_transport(
         self, system: Any, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, levels: int
     ) -> ForceTable:
-        function = np.array([_product_of(system), len(system.matrix_shape) - 1, levels], dtype=np.int64)
         table = self._on_modes("MODE_TRANSPORT", modes, 0, numbers, np.concatenate(amplitudes), NO_NUMBERS)
-        return table._replace(function=function, seed=seed, stream=stream)
+        return table._replace(function=_products_of_noise(system, levels), seed=seed, stream=stream)
 
     def selective_decay(self, rate: float, system: Any) -> ForceTable:
         if not system.has_matrices:
@@ -284,6 +283,12 @@ class _ForceTableBuilder:
 def _product_of(system: Any) -> int:
     """Return the address of the product of the matrices of a system."""
     return blas_address("zgemm" if system.complex else "dgemm")
+
+
+def _products_of_noise(system: Any, levels: int) -> NDArray[np.int64]:
+    """Return the address of the product, the layers, the levels and the address of the product of real matrices."""
+    layers = len(system.matrix_shape) - 1
+    return np.array([_product_of(system), layers, levels, blas_address("dgemm")], dtype=np.int64)
 
 
 def compiled_force_function(

@@ -211,7 +211,7 @@ def _stepping(
 
 @cache
 def blas_address(name: str) -> int:
-    """Return the address of a routine of SciPy's BLAS, such as "zgemm"."""
+    """Return the address of a routine of SciPy's BLAS, such as "dgemm"."""
     from scipy.linalg import cython_blas
 
     capsules: dict[str, Any] = dict(cython_blas.__pyx_capi__)
@@ -252,8 +252,7 @@ def matrix_tables(
 ) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
     integers, numbers, keepalive = stream_tables(system)
-    precisions = "zc" if system.complex else "ds"
-    integers += [blas_address(f"{precision}gemm") for precision in precisions]
+    integers += [blas_address(name) for name in ("zgemm" if system.complex else "dgemm", "dgemm", "sgemm")]
     integers += [stages, int(system.complex), int(not system.algebra.skew)]
     step_tables = numeric_step_tables(system, step, integers, [*coefficients, *numbers], fractions)
     return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))

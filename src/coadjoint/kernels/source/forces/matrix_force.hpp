@@ -22,10 +22,11 @@ class Conjugation {
     const int64_t n, square, layers;  // of a state
     std::vector<T> A;
 
-    Conjugation(int64_t gemm, int64_t n, int64_t layers)
+    // The products of matrices of T and of real ones are given.
+    Conjugation(int64_t gemm, int64_t real_gemm, int64_t n, int64_t layers)
         : n(n), square(n * n), layers(layers), A(layers * square), single(gemm, n, 1), whole(gemm, n, layers),
-          cayley(gemm, n), E(layers * square), B(layers * square), C(layers * square), second(layers * square),
-          third(layers * square), fourth(layers * square) {}
+          cayley(real_gemm, n), swept(n * n), E(layers * square), B(layers * square), C(layers * square),
+          second(layers * square), third(layers * square), fourth(layers * square) {}
 
     // Approximate number of multiplications of an exponential and its action.
     int64_t work() const { return 8 * layers * square * n * int64_t(sizeof(T) / sizeof(double)); }
@@ -72,8 +73,10 @@ class Conjugation {
 
     // U := (1 + A/2)(1 - A/2)^-1.
     void transform(int64_t depth) {
-        for (int64_t e = 0; e < square; ++e) E[e] = 0.5 * A[e];
-        cayley.transform(E.data());
+        const Planes<T> planes = swept.layer();
+        for (int64_t e = 0; e < square; ++e) planes.set(e, 0.5 * A[e]);
+        cayley.transform(planes);
+        for (int64_t e = 0; e < square; ++e) E[e] = planes.at(e);
         if (depth == 2) {
             // (1 + E) A1/2 (1 + E), E = (1 - A0/2)^-1 - 1
             T* const layer = E.data() + square;
@@ -139,6 +142,7 @@ class Conjugation {
     static constexpr double RADIUS[BLOCKS] = {1.9e-4, 0.035, 0.234, 0.655};
     const Products<T> single, whole;
     Cayley<T> cayley;
+    PlanesOf<T> swept;
     std::vector<T> E, B, C, second, third, fourth;  // E = U - 1; powers of A
 
     // The parts of a state that one product acts on: both layers together, or one after the other.
@@ -163,14 +167,15 @@ class MatrixForce {
 
 // X' = [A, X] with A = rate[0] times the dual of [Y, X], by the midpoint rule in Cayley transforms, which is symmetric,
 // between halves of a noise of `amplitude` in all directions of the blocks on the diagonal. Of the table: `begin` and `aim`
-// are the integers and the numbers of the stream Y, function[0] is the address of the product, and `position` the layers
-// of A. Row i belongs to the block b = direction[i], whose adjoint Casimir is rate[1 + b], and whose entries are complex if
+// are the integers and the numbers of the stream Y, `function` has the addresses of the product and of that of real
+// matrices, and `position` is the layers of A. Row i belongs to the block b = direction[i], whose adjoint Casimir is rate[1 + b], and whose entries are complex if
 // turning[b] is one, else it is zero.
 template <class T>
 class OrbitDamping final : public MatrixForce {
   public:
     explicit OrbitDamping(const ForceTable& table)
-        : table(table), stream(table.begin, table.aim), by(table.function[0], table.begin[0], table.begin[1]),
+        : table(table), stream(table.begin, table.aim),
+          by(table.function[0], table.function[1], table.begin[0], table.begin[1]),
           n(by.n), square(by.square), all(by.layers * square), depth(table.position), M(all), Y(all), slope(all),
           deviates(table.amplitude > 0.0 ? square : 0) {}
 
@@ -263,15 +268,15 @@ class OrbitDamping final : public MatrixForce {
 
 // X' = sum over k of [A_k, X] o dB_k, on one side of each step: exp(Z1) exp(Z2), Z = (B/2 +- D/sqrt(2)) . A with an
 // independent copy D of the increments B, has weak order two for any A_k; where these commute it is exp(B . A), the exact
-// flow. Of the table: `function` has the address of the product, the layers of a state, and the levels of the increments,
-// and `amplitude` is one if the A_k commute. Those that are no modes are `sets` matrices in `basis`, each of
+// flow. Of the table: `function` has the address of the product, the layers of a state, the levels of the increments, and
+// the address of the product of real matrices, and `amplitude` is one if the A_k commute. Those that are no modes are `sets` matrices in `basis`, each of
 // `direction[0]` layers.
 template <class T>
 class MatrixNoise final : public MatrixForce {
   public:
     explicit MatrixNoise(const ForceTable& table)
         : table(table), modes(table.kind == MODE_TRANSPORT ? new ModeForce(table) : nullptr),
-          by(table.function[0], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
+          by(table.function[0], table.function[3], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
           count(modes ? modes->deviates() : table.sets), commuting(table.amplitude != 0.0),
           increments(table, table.function[2], count, commuting ? 0 : count), factors(count) {}
 

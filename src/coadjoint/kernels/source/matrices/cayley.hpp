@@ -16,59 +16,53 @@ template <class T>
 class Cayley {
   public:
     Cayley(int64_t gemm, int64_t size)
-        : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), copy((size / 2 + 1) * (size / 2 + 1)) {}
+        : products(gemm, size), n(int(size)), made((size / 2 + 1) * (size / 2 + 1)) {}
 
     // No pivoting is needed, since the Hermitian part of 1 - X is positive.
-    void transform(T* X) { sweep(X, n); }
+    void transform(const Planes<T>& X) { sweep(X, 0, n); }
 
   private:
     // Rows that are swept without splitting, which fit in the first cache; rows are padded to multiples of WIDTH.
     static constexpr int LEAF = 32, WIDTH = 8;
-    const Gemm<T> gemm;
+    const PlaneProducts<T> products;
     const int n;
-    std::vector<T> copy;
+    PlanesOf<T> made;
 
     // Here a matrix is stored column by column, as in Fortran, and the columns of a block are `n` apart.
-    void sweep(T* X, int size) {
-        if (size <= LEAF) return sweep_leaf(X, size);
+    void sweep(const Planes<T>& X, int64_t X11, int size) {
+        if (size <= LEAF) return sweep_leaf(X, X11, size);
         const int first = size / 2, second = size - first;
-        T *X21 = X + first, *X12 = X + int64_t(first) * n, *X22 = X12 + first, *E = copy.data();
-        sweep(X, first);
-        // X12 := (1 + C11) X12, X22 += X21 X12, X21 := X21 (1 + C11)
-        save(X12, first, second);
-        add(first, second, first, X, n, E, first, X12);
-        add(second, second, first, X21, n, X12, n, X22);
-        save(X21, second, first);
-        add(second, first, first, E, second, X, n, X21);
-        sweep(X22, second);
-        // X21 := (1 + C22) X21, C11 += X12 X21, X12 := X12 (1 + C22)
-        save(X21, second, first);
-        add(second, first, second, X22, n, E, second, X21);
-        add(first, first, second, X12, n, X21, n, X);
-        save(X12, first, second);
-        add(first, second, second, E, first, X22, n, X12);
+        const int64_t X21 = X11 + first, X12 = X11 + int64_t(first) * n, X22 = X12 + first;
+        sweep(X, X11, first);
+        add(X, first, second, first, X11, X12, X12);
+        add(X, second, second, first, X21, X12, X22);
+        add(X, second, first, first, X21, X11, X21);
+        sweep(X, X22, second);
+        add(X, second, first, second, X22, X21, X21);
+        add(X, first, first, second, X12, X21, X11);
+        add(X, first, second, second, X12, X22, X12);
     }
 
-    void save(const T* block, int rows, int columns) {
-        for (int j = 0; j < columns; ++j) std::copy_n(block + int64_t(j) * n, rows, copy.data() + int64_t(j) * rows);
-    }
-
-    // c += a b
-    void add(int rows, int columns, int inner, const T* a, int lda, const T* b, int ldb, T* c) const {
-        const char plain = 'N';
-        const T one(1.0);
-        gemm(&plain, &plain, &rows, &columns, &inner, &one, a, &lda, b, &ldb, &one, c, &n);
+    // The block at c += that at a times that at b, which may be c too.
+    void add(const Planes<T>& X, int rows, int columns, int inner, int64_t a, int64_t b, int64_t c) {
+        const Planes<T> product = made.layer();
+        products.multiply_blocks(rows, columns, inner, X, a, X, b, product);
+        for (int64_t j = 0; j < columns; ++j)
+            for (int64_t i = 0; i < rows; ++i) {
+                const int64_t e = c + j * n + i;
+                X.set(e, X.at(e) + product.product(j * rows + i));
+            }
     }
 
     // The same for one pivot after the other: with s = 1 / (1 - X_kk), X_ij += X_ik s X_kj, X_ik *= s, X_kj *= s and
     // X_kk *= s. Real and imaginary parts are apart, and columns padded to full vectors.
-    void sweep_leaf(T* X, int size) {
+    void sweep_leaf(const Planes<T>& X, int64_t X11, int size) {
         constexpr bool COMPLEX_NUMBERS = sizeof(T) > sizeof(double);
         alignas(64) double re[LEAF][LEAF], im[LEAF][LEAF], pivot_re[LEAF], pivot_im[LEAF];
         const int width = (size + WIDTH - 1) / WIDTH * WIDTH;
         for (int j = 0; j < size; ++j)
             for (int i = 0; i < width; ++i) {
-                const Complex entry = i < size ? X[i + int64_t(j) * n] : T(0.0);
+                const Complex entry = i < size ? X.at(X11 + i + int64_t(j) * n) : T(0.0);
                 re[j][i] = entry.real(), im[j][i] = entry.imag();
             }
         for (int k = 0; k < size; ++k) {
@@ -97,7 +91,11 @@ class Cayley {
             }
         }
         for (int j = 0; j < size; ++j)
-            for (int i = 0; i < size; ++i) set(X[i + int64_t(j) * n], re[j][i], im[j][i]);
+            for (int i = 0; i < size; ++i) {
+                T entry;
+                set(entry, re[j][i], im[j][i]);
+                X.set(X11 + i + int64_t(j) * n, entry);
+            }
     }
 };
 

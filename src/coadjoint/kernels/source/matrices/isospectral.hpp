@@ -13,9 +13,9 @@
 
 namespace coadjoint {
 
-// Indices in `whole` of the tables for the addresses of BLAS routines: products in the precision of the states and in
-// the lower one.
-enum TableIndex { STREAM = 0, GEMM = 6, LOWER_GEMM, STAGES, COMPLEX, GENERAL };
+// Indices in `whole` of the tables for the addresses of BLAS routines: products of matrices of the states, and of real
+// ones in their precision and in the lower one.
+enum TableIndex { STREAM = 0, GEMM = 6, REAL_GEMM, LOWER_GEMM, STAGES, COMPLEX, GENERAL };
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;

@@ -1,4 +1,4 @@
-// Products of square matrices, by the BLAS routine given in the tables. Matrices are stored row by row.
+// Products of square matrices, by the BLAS routines given in the tables. Matrices are stored row by row.
 //
 // An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product.
 #pragma once
@@ -7,6 +7,7 @@
 #include <cmath>
 #include <complex>
 #include <cstdint>
+#include <vector>
 
 namespace coadjoint {
 
@@ -38,7 +39,7 @@ inline Complex inverse(const Complex& a) {
 // stay in the cache.
 template <class Use>
 void each_pair(int64_t n, const Use& use) {
-    constexpr int64_t BLOCK = 16;
+    constexpr int64_t BLOCK = 8;
     for (int64_t first = 0; first < n; first += BLOCK)
         for (int64_t second = 0; second <= first; second += BLOCK)
             for (int64_t i = first; i < std::min(first + BLOCK, n); ++i)
@@ -56,10 +57,134 @@ void skew_part(int64_t n, const T* A, double factor, T* to, bool add) {
 }
 
 // General matrices times general matrices, in Fortran's convention.
-template <class T>
-using Gemm = void (*)(const char*, const char*, const int*, const int*, const int*, const T*, const T*, const int*,
-                      const T*, const int*, const T*, T*, const int*);
+template <class R>
+using Gemm = void (*)(const char*, const char*, const int*, const int*, const int*, const R*, const R*, const int*,
+                      const R*, const int*, const R*, R*, const int*);
 
+template <class T>
+struct RealType {
+    typedef T type;
+};
+template <class R>
+struct RealType<std::complex<R>> {
+    typedef R type;
+};
+
+// The entries of a matrix in planes of real numbers: one, or of complex numbers three, the real parts, the imaginary
+// parts, and their sums or differences. Three products of planes of two factors give a complex product ("3M": N. J.
+// Higham, SIAM J. Matrix Anal. Appl. 13 (1992) 681), with errors that are small beside the norms of both factors.
+template <class T>
+struct Planes {
+    typedef T Real;
+    static constexpr int COUNT = 1;
+    T* plane[COUNT];
+
+    T at(int64_t e) const { return plane[0][e]; }
+    void set(int64_t e, T value) const { plane[0][e] = value; }
+    void set_with_difference(int64_t e, T value) const { plane[0][e] = value; }
+    T product(int64_t e) const { return plane[0][e]; }
+    T product_by_adjoint(int64_t e) const { return plane[0][e]; }
+};
+
+template <class R>
+struct Planes<std::complex<R>> {
+    typedef R Real;
+    typedef std::complex<R> T;
+    static constexpr int COUNT = 3;
+    R* plane[COUNT];
+
+    T at(int64_t e) const { return {plane[0][e], plane[1][e]}; }
+    void set(int64_t e, const T& value) const {
+        plane[0][e] = value.real(), plane[1][e] = value.imag(), plane[2][e] = value.real() + value.imag();
+    }
+    // For the left factor of a product by an adjoint.
+    void set_with_difference(int64_t e, const T& value) const {
+        plane[0][e] = value.real(), plane[1][e] = value.imag(), plane[2][e] = value.real() - value.imag();
+    }
+    // Of (a + ib)(c + id), from ac, bd and (a + b)(c + d).
+    T product(int64_t e) const {
+        const R first = plane[0][e], second = plane[1][e];
+        return {first - second, plane[2][e] - (first + second)};
+    }
+    // Of (a + ib)(c - id), from ac, bd and (a - b)(c + d).
+    T product_by_adjoint(int64_t e) const {
+        const R first = plane[0][e], second = plane[1][e];
+        return {first + second, (first - second) - plane[2][e]};
+    }
+};
+
+// Planes with their memory, of some matrices.
+template <class T>
+class PlanesOf {
+  public:
+    typedef typename Planes<T>::Real Real;
+    explicit PlanesOf(int64_t square, int64_t layers = 1)
+        : distance(square + APART), numbers(Planes<T>::COUNT * distance * layers) {}
+
+    Planes<T> layer(int64_t l = 0) {
+        Planes<T> found;
+        for (int k = 0; k < Planes<T>::COUNT; ++k)
+            found.plane[k] = numbers.data() + (l * Planes<T>::COUNT + k) * distance;
+        return found;
+    }
+
+  private:
+    // An odd number of cache lines: equal entries of different planes are not in the same set of the cache.
+    static constexpr int64_t APART = 9 * 64 / int64_t(sizeof(Real));
+    const int64_t distance;
+    std::vector<Real> numbers;
+};
+
+// Products of planes, by the routine for their real numbers.
+template <class T>
+class PlaneProducts {
+  public:
+    typedef typename Planes<T>::Real Real;
+    PlaneProducts(int64_t gemm, int64_t size) : gemm(reinterpret_cast<Gemm<Real>>(gemm)), n(int(size)) {}
+
+    // c = a b, or c += a b.
+    void multiply(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool add = false) const {
+        for (int k = 0; k < Planes<T>::COUNT; ++k) panel(a.plane[k], b.plane[k], c.plane[k], n, n, false, add);
+    }
+
+    // Of a skew-Hermitian product, or of one by the adjoint of b, the entries on and below the diagonal, and some
+    // others.
+    void lower(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool adjoint, bool add = false) const {
+        const int panels = n < SMALL ? 1 : n < LARGE ? PANELS : 2 * PANELS;
+        for (int p = 0; p < panels; ++p) {
+            const int first = n * p / panels, last = n * (p + 1) / panels;
+            const int64_t row = int64_t(first) * n;
+            for (int k = 0; k < Planes<T>::COUNT; ++k)
+                panel(a.plane[k] + row, b.plane[k], c.plane[k] + row, last - first, last, adjoint, add);
+        }
+    }
+
+    // Blocks of planes in Fortran's order: c = a b, whose columns are `stride` apart in a and b, and adjacent in c.
+    void multiply_blocks(int rows, int columns, int inner, const Planes<T>& a, int64_t at_a, const Planes<T>& b,
+                         int64_t at_b, const Planes<T>& c) const {
+        const char plain = 'N';
+        const Real one(1.0), zero(0.0);
+        for (int k = 0; k < Planes<T>::COUNT; ++k)
+            gemm(&plain, &plain, &rows, &columns, &inner, &one, a.plane[k] + at_a, &n, b.plane[k] + at_b, &n, &zero,
+                 c.plane[k], &rows);
+    }
+
+  private:
+    // Panels of which only the lower half is computed, and sizes below which one panel, or few, are faster.
+    static constexpr int PANELS = 4, SMALL = 32, LARGE = 256;
+    const Gemm<Real> gemm;
+    const int n;
+
+    // The first `columns` entries of some rows of the product. Fortran reads columns: it sees the transposed matrices,
+    // and their product in the opposite order.
+    void panel(const Real* a, const Real* b, Real* c, int rows, int columns, bool adjoint, bool add) const {
+        const Real one(1.0), beta(add ? 1.0 : 0.0);
+        const char plain = 'N', other = adjoint ? 'T' : 'N';
+        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &beta, c, &n);
+    }
+};
+
+// Products of matrices whose complex entries are adjacent, by the routine for these.
 template <class T>
 class Products {
   public:
@@ -75,9 +200,6 @@ class Products {
 
     // c = a b*, b* the conjugate transpose, for a skew-Hermitian product.
     void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
-
-    // Of that product of single matrices, the entries on and below the diagonal.
-    void lower_by_adjoint(const T* a, const T* b, T* c) const { by_panels(a, b, c, true, true, false); }
 
   private:
     // Panels of which only the lower half is computed, and sizes below which one panel is faster.

@@ -45,6 +45,8 @@ class DiagonalMap {
         return circulants ? circulants->work() : kind == SYMMETRIC ? 2 * numbers_of(kind, n) : 4 * n * n;
     }
 
+    bool upper_suffices() const { return kind != CIRCULANT; }
+
     // With `upper`, of skew-Hermitian matrices, entries of P below the diagonal may be left out.
     NOINLINE void apply(const T* W, T* P, bool upper) {
         if (kind == TRIDIAGONAL) solve(W, P);
@@ -176,6 +178,9 @@ class Stream {
     }
 
     bool linear() const { return !function; }
+
+    // Whether entries of a skew-Hermitian X below the diagonal are not read, if only those of Y above it are used.
+    bool upper_suffices() const { return !function && first_map.upper_suffices(); }
 
     // The largest number of the constant, whose round-off remains where it cancels, as in a state at rest.
     double largest_constant() const {
