@@ -106,6 +106,16 @@ def test_isospectral_steps_predicted_from_earlier_ones_are_those_without(name, t
         assert np.abs(after - plain).max() <= 4 * (1 + np.sqrt(system.algebra.N)) * U * unit * np.abs(W).max()
 
 
+def test_predicted_isospectral_steps_take_few_products():
+    system = SPHERE(N=65)
+    W = start(system)
+    h = turning(system, W, 0.1)
+    counts = [co.integrate(system, W, (0.0, n * h), h, co.IsospectralGauss(), save_every=n).stats for n in (40, 80)]
+    # The prediction, the midpoint and one slope are three; round-off of the prediction needs another one at times.
+    assert counts[1].evaluations - counts[0].evaluations <= 40 * 3.75
+    assert counts[1].iterations - counts[0].iterations == 40
+
+
 def test_short_isospectral_steps_round_in_proportion_to_their_length():
     """A step of the fraction 1/1000 of a half turn moves W by a fraction of that size, and rounds as little of it."""
     system = SPHERE(N=8)
