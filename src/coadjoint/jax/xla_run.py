@@ -195,7 +195,7 @@ class XlaRun:
 
         state, saved = steps.begin(constants, start, self._t0, h), [jax.tree.map(lambda one: one[None], start)]
         if self._intervals:
-            state, found = scan_in_segments(interval, state, every * jnp.arange(self._intervals))
+            state, found = scan_in_segments(interval, state, every * jnp.arange(self._intervals), every)
             saved.append(found)
         if self._rest:
             last = every * self._intervals
@@ -344,13 +344,15 @@ def _of_group(flow_table: Any, group: Any) -> tuple[int | None, list[Any]]:
     ]
 
 
-def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:
-    """Return `lax.scan` of a body over numbers, with states stored for reverse mode at segments only."""
+def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any, steps: int = 1) -> Any:
+    """Return `lax.scan` of a body, of some steps, over numbers, with states stored for reverse mode at segments."""
     # The steps of a segment are computed again from its first state, and each step from its own and its fixed points.
-    policy, count = jax.checkpoint_policies.save_only_these_names(SAVED), len(xs)
+    count = len(xs)
+    short = count * steps * sum(np.size(one) for one in jax.tree.leaves(carry)) <= MOST_STORED
+    policy = jax.checkpoint_policies.save_only_these_names(SAVED) if short or steps == 1 else None
     body = jax.checkpoint(body, prevent_cse=False, policy=policy)
     root = math.isqrt(count)
-    if count * sum(np.size(one) for one in jax.tree.leaves(carry)) <= MOST_STORED:
+    if short:
         return lax.scan(body, carry, xs)
     length = next((d for d in range(root, LONGEST * root) if count % d == 0), root)
     whole = count - count % length

@@ -228,6 +228,15 @@ def test_maps_and_features_have_the_bracket_and_the_casimirs_before_and_after_tr
     np.testing.assert_allclose(run(x)[-1], layers(x, learned["map"], 0.3), rtol=0, atol=1e-13)
 
 
+def test_a_processed_run_is_continued_where_it_ended():
+    """The processor is undone at the start of a run, to round-off."""
+    system = co.LiePoissonSystem(get("so(3)"), features(weights(3)), sign=-1)
+    run = co.jax.solution(system, (0, 2), 4, method=PROCESSED, step=0.25)
+    _, middle, end = run(jnp.array([0.3, 0.8, 0.5]))
+    again = co.jax.solution(system, (0, 1), 4, method=PROCESSED, step=0.25)(middle)[-1]
+    np.testing.assert_allclose(again, end, rtol=0, atol=1e-13)
+
+
 @pytest.mark.long
 def test_certify_takes_a_map():
     algebra = get("so(3)")
