@@ -21,15 +21,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # With slack: the next thousand lines, the next ten of what is counted. A change that raises a number says in a comment
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
-    "Python files": 485,  # forces of noise and dissipation, planetary flows, crystals: a file each
-    "Python lines": 111_000,  # the same: noise on orbits, baths, quasi-geostrophic flows, polyhedra, crystals
+    "Python files": 507,  # spin models on crystals, layers and vortices, energies of JAX: a file each
+    "Python lines": 115_500,  # the same: models on crystals, layered flow, learned energies, fluids in JAX
     "longest file": 700,
-    "isinstance": 558,  # values of files of others, Hamiltonians of noise
+    "isinstance": 585,  # values of files of others, energies and params of users
     "calls by text": 9,
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
-    "C++ lines": 22_500,  # noise and dissipation of vectors and of matrices
-    "test lines": 77_500,
+    "C++ lines": 25_000,  # forces as lanes, derivatives of steps with forces
+    "test lines": 81_000,  # with what they test
     "test files that import internals": 80,
 }
 
