@@ -37,7 +37,7 @@ class MatrixForceReader:
         change = self._state(torque)
         return lambda _, x, t, tau, member: x + tau * change
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: Any, layer: int) -> Any:
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: Any, layers: range) -> Any:
         """Return the flow of c' = -rate c for modes by diagonal, exact."""
         N, on_sphere = modes.N, modes.kind == Harmonics.kind
         table = np.zeros((N, N), dtype=np.result_type(*rates))
@@ -50,7 +50,7 @@ class MatrixForceReader:
             if d:  # the conjugate modes
                 table[-k % N, N - d] = np.conj(rate)
         vectors = harmonics_by_diagonal(N) if on_sphere else None
-        rest = None if target is None else self._state(target)
+        rest, layer = None if target is None else self._state(target), layers.start  # layered flows are refused before
 
         def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             moving = x if rest is None else x - rest

@@ -15,7 +15,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.jax.energies import FeatureEnergy, params_like, read_params
 from coadjoint.jax.feature_flows import feature_flow
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import Bracket
+from coadjoint.jax.stage_steps import CoadjointAction
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.system_checks import read_sign
@@ -94,7 +94,7 @@ class PoissonMap:
         if not self.widths:
             raise ValueError(f"widths are empty; {rule}")
         self._layers = FeatureEnergy(function_of_layer, self.init())
-        flow = feature_flow(Bracket(algebra, self.sign), self._layers)
+        flow = feature_flow(CoadjointAction(algebra, self.sign), self._layers)
 
         def of_state(x: Any, layers: Any, tau: Any, backward: bool) -> Any:
             return lax.scan(lambda x, layer: (flow(layer, x, tau), None), x, layers, reverse=backward)[0]

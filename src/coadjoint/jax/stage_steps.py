@@ -129,7 +129,7 @@ class Steps(NamedTuple):
     """The functions of the user in the steps."""
 
 
-class Bracket:
+class CoadjointAction:
     """The products sign J(x) u of a Lie algebra, and the coadjoint action, its exponentials."""
 
     def __init__(self, algebra: Any, sign: int) -> None:
@@ -214,7 +214,7 @@ def _remainder(z: Any, first: int) -> Any:
     return jnp.where(small, series, far)
 
 
-class StageField(Bracket):
+class StageField(CoadjointAction):
     """The field of a Hamiltonian of polynomials and functions, whose numbers are arguments of the methods."""
 
     def __init__(self, system: Any, monomials: Any) -> None:

@@ -17,7 +17,7 @@ from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.isospectral_steps import isospectral_steps, project
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import SAVED, Bracket, EnergyNumbers, StageField, Steps, stage_steps
+from coadjoint.jax.stage_steps import SAVED, CoadjointAction, EnergyNumbers, StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
 from coadjoint.jax.traced_functions import compare_with_compiled, sample_states
 from coadjoint.memory import check_available_memory
@@ -286,7 +286,7 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
     if features is not None and isinstance(scheme, FlowMethod):
         if group is not None:
             raise TypeError(f"{CALLER} computes no attitudes beside energies of co.jax.features; prepare without")
-        return feature_steps(Bracket(system.algebra, system.sign), scheme, features, factor), table
+        return feature_steps(CoadjointAction(system.algebra, system.sign), scheme, features, factor), table
     if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
         if group is not None:
             raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')

@@ -192,23 +192,33 @@ def test_units_of_any_size():
         np.testing.assert_allclose(fast / size, end, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("layer", [0, 2])
-def test_friction_and_viscosity_of_one_layer(layer):
-    s = FLOWS["three layers"]
-    x0, rest = start_of(s), s.planetary[0]
-    forced = s.with_forces(co.forces.Friction(0.4, layer=layer), co.forces.Viscosity(0.01, layer=layer, rotation=True))
+@pytest.mark.parametrize("name", ["three layers", "torus"])
+def test_friction_and_viscosity_of_all_layers(name):
+    s = FLOWS[name]
+    x0, rest = start_of(s), s.absolute(np.zeros(s.shape))
+    forced = s.with_forces(co.forces.Friction(0.4), co.forces.Viscosity(0.01, rotation=True))
 
     def force(q, P):
-        change = np.zeros_like(q)
-        V = q[layer] - rest
-        decay = s.fluid.from_modes(0.01 * s.fluid.eigenvalues * s.fluid.mode_array(V), absolute=True)
-        change[layer] = -0.4 * V - decay
-        return change
+        V = q - rest
+        decay = [s.fluid.from_modes(0.01 * s.fluid.eigenvalues * s.fluid.mode_array(W), absolute=True) for W in V]
+        return -0.4 * V - np.array(decay)
 
     sol = co.integrate(forced, x0, (0, 0.5), 2.0**-8, SIXTH, save_every=64)
     np.testing.assert_allclose(sol.x[-1], reference(s, x0, (0, 0.5), force), rtol=0, atol=1e-5)
     assert sol.balance()["energy"] < 1e-5
-    assert sol.balance()[f"tr W^2 [{layer + 1}]"] < 1e-5
+    assert all(sol.balance()[f"tr W^2 [{layer + 1}]"] < 1e-5 for layer in range(s.shape[0]))
+
+
+def test_drag_lowers_the_energy_of_layers_that_rest_beside_a_moving_one():
+    s = co.systems.layered_qg(9, [[12.0, -12.0], [-4.0, 4.0]], thicknesses=(1.0, 3.0))
+    moving = np.stack([s.fluid.random(seed=1), np.zeros((9, 9))])
+    x0 = s.absolute(moving)
+    for force in (co.forces.Friction(0.3), co.forces.Viscosity(0.05)):
+        sol = co.integrate(s.with_forces(force), x0, (0, 10), 0.05, co.IsospectralGauss(), save_every=10)
+        assert np.all(np.diff(sol.energy) < 0.0)
+    # With the same rate for all scales and layers the energy falls by exp(-2 rate t), whatever flows.
+    sol = co.integrate(s.with_forces(co.forces.Friction(0.3)), x0, (0, 2), 0.02, co.IsospectralGauss())
+    assert sol.energy[-1] / sol.energy[0] == pytest.approx(np.exp(-1.2), rel=1e-3)
 
 
 def test_random_forcing_of_a_layer_has_its_rate_of_energy():
@@ -292,9 +302,10 @@ def test_what_is_refused():
         S.layered_qg(8, 100 * np.array(square))
     some = co.forces
     for force, named in (
-        (some.Friction(0.1), ("layer", "0 to 1")),
-        (some.Friction(0.1, layer=2), ("layer is 2", "0 to 1")),
-        (some.Viscosity(0.1, layer="carried"), ("carried", "0 to 1")),
+        (some.RandomForcing(0.5, (2, 3), seed=3), ("layer", "0 to 1")),
+        (some.RandomForcing(0.5, (2, 3), seed=3, layer=2), ("layer is 2", "0 to 1")),
+        (some.Friction(0.1, layer=1), ("layer is 1", "all layers", "interface")),
+        (some.Viscosity(0.1, layer="carried"), ("carried", "all layers")),
         (some.SelectiveDecay(0.1), ("layers", "Viscosity")),
         (some.DoubleBracketDamping(0.1), ("layers", "Friction")),
         (some.HeatBath(0.1, 0.1, seed=1), ("layers",)),

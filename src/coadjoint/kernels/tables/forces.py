@@ -197,11 +197,15 @@ class _ForceTableBuilder:
         periods = [one.period for one in noises]
         return self._table("BY_FLOW", periods, sets=len(noises), direction=direction, extent=count)
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layer: int) -> ForceTable:
+    def mode_rates(
+        self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layers: range
+    ) -> ForceTable:
         flat = np.concatenate(rates).astype(np.complex128)
         aim = NO_NUMBERS if target is None else target
         more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(target is not None)}
-        return self._on_modes("MODE_RATES", modes, layer, numbers, np.ascontiguousarray(flat.real), aim, **more)
+        real = np.ascontiguousarray(flat.real)
+        table = self._on_modes("MODE_RATES", modes, layers.start, numbers, real, aim, **more)
+        return table._replace(function=np.array([len(layers)], dtype=np.int64))
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
         flat = np.concatenate(amplitudes)

@@ -105,7 +105,7 @@ class ForceReader(Protocol):
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> Any:
         """Register a flow, a function of (x, t, tau), and with noises also of the deviates of all."""
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> Any:
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layers: range) -> Any:
         """Register c' = -rate (c - c of `still`) for modes of a matrix; lists over diagonals."""
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:

@@ -47,9 +47,9 @@ class Friction(ModeRates):
         Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
         ``|n|`` on the torus.
         A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
-    layer : {"vorticity", "carried"} or int
-        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` the number of the layer,
-        from 0.
+    layer : {"vorticity", "carried"}
+        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` all layers alike, of which
+        the energy then falls. (In one layer alone it would act on the potential vorticity and move the interface.)
 
     Raises
     ------
@@ -107,9 +107,9 @@ class Viscosity(ModeRates):
         1 for viscosity, 2 to 32 for hyperviscosity.
     rotation : bool
         On the sphere: whether solid rotations decay as well.
-    layer : {"vorticity", "carried"} or int
-        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` the number of the layer,
-        from 0.
+    layer : {"vorticity", "carried"}
+        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` all layers alike, of which
+        the energy then falls. (In one layer alone it would act on the potential vorticity and move the interface.)
 
     Raises
     ------

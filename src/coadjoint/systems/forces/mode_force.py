@@ -223,12 +223,6 @@ def read_layer(value: Any, what: str) -> str | int:
     return read_choice(value, what, LAYERS)
 
 
-def layer_matrix(system: Any, layer: str | int, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a field of a state."""
-    state = system.from_vector(x)
-    return np.asarray(state if state.ndim == 2 else state[layer_index(system, layer)])
-
-
 def layer_vector(system: Any, layer: str | int, W: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the vector of a state with this field, and zero in the others."""
     state = np.zeros(system.matrix_shape, dtype=W.dtype)
@@ -250,7 +244,19 @@ class ModeRates(Force):
 
     def check(self, system: Any) -> None:
         self._selected_modes(modes_of(system, self.label))
-        layer_index(system, self.layer)
+        self._layers(system)
+
+    def _layers(self, system: Any) -> range:
+        """Return the indices of the matrices on which the force acts: all layers of a fluid, or one of two fields."""
+        if not system.independent_layers:
+            first = layer_index(system, self.layer)
+            return range(first, first + 1)
+        if self.layer != "vorticity":
+            raise ValueError(
+                f"layer is {self.layer!r}; {self.label} acts on all layers of {system.name}: in one alone it would act "
+                "on the potential vorticity, move the interface and add energy; leave layer= out"
+            )
+        return range(system.matrix_shape[0])
 
     def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
@@ -265,25 +271,24 @@ class ModeRates(Force):
     def _scale_modes(
         self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
     ) -> npt.NDArray[Any]:
-        W = layer_matrix(system, self.layer, x)
-        rest = self._rest_of_layer(system)
-        return self._scale_matrix(system, W if rest is None else W - rest, factor)
+        rest = rest_of(system)
+        return self._scaled(system, x if rest is None else x - rest, factor)
 
-    def _scale_matrix(
-        self, system: Any, W: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
+    def _scaled(
+        self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
     ) -> npt.NDArray[Any]:
         modes = modes_of(system, self.label)
         selected, rates = self._selected_modes(modes)
-        coefficients = [
-            factor(rate) * modes.coefficients(W, d, numbers)
-            for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
-        ]
-        return layer_vector(system, self.layer, modes.matrix(coefficients, selected))
-
-    def _rest_of_layer(self, system: Any) -> npt.NDArray[Any] | None:
-        """Return the matrix at rest in the frame, or None if the state at rest is zero."""
-        rest = rest_of(system)
-        return None if rest is None else layer_matrix(system, self.layer, rest)
+        state = np.asarray(system.from_vector(x))
+        given = state if state.ndim == 3 else state[None]
+        change = np.zeros_like(given)
+        for k in self._layers(system):
+            coefficients = [
+                factor(rate) * modes.coefficients(given[k], d, numbers)
+                for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
+            ]
+            change[k] = modes.matrix(coefficients, selected)
+        return np.asarray(system.to_vector(change.reshape(state.shape)))
 
     def field(self, system: Any, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
         return self._scale_modes(system, x, lambda rate: -rate)
@@ -297,9 +302,11 @@ class ModeRates(Force):
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        rest = self._rest_of_layer(system)
-        target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
-        return reader.mode_rates(modes, *self._selected_modes(modes), target, layer_index(system, self.layer))
+        rest, layers = rest_of(system), self._layers(system)
+        if rest is not None:
+            matrices = np.asarray(system.from_vector(rest)).reshape(-1, *system.matrix_shape[-2:])
+            rest = np.ascontiguousarray(matrices[layers.start : layers.stop]).view(np.float64).ravel()
+        return reader.mode_rates(modes, *self._selected_modes(modes), rest, layers)
 
 
 @lru_cache(maxsize=4)
@@ -308,6 +315,5 @@ def _matrix_of_flow(force: ModeRates, system: Any, tau: float) -> npt.NDArray[np
     # Units are projected: gradients then lie in the algebra.
     rows = system.to_vector(system.algebra.projected(system.from_vector(np.eye(n))))
     for row in rows:
-        W = layer_matrix(system, force.layer, row)
-        row += force._scale_matrix(system, W, lambda rate: np.expm1(-tau * rate))
+        row += force._scaled(system, row, lambda rate: np.expm1(-tau * rate))
     return np.ascontiguousarray(rows.T)

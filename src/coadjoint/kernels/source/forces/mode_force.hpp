@@ -14,10 +14,11 @@ class ModeForce {
     // c' = -(rate + i turning) c, exactly.
     void relax(double* x, double tau) {
         if (prepared_for != tau) prepare(tau);
-        modes.change(x, true, false, [&](int64_t e, const Complex& c) {
+        const auto move = [&](int64_t e, const Complex& c) {
             const double real = values[2 * e], imaginary = values[2 * e + 1];
             return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
-        });
+        };
+        for (int64_t layer = 0; layer < table.function[0]; ++layer) modes.change(x, true, false, move, layer);
     }
 
     // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its

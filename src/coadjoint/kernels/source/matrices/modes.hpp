@@ -35,8 +35,10 @@ class Modes {
     // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`. Threads of this
     // member share a few diagonals after the other.
     template <class Move>
-    void change(double* x, bool read, bool paired, Move move) {
-        Complex* const W = reinterpret_cast<Complex*>(x + table.position);
+    void change(double* x, bool read, bool paired, Move move, int64_t layer = 0) {
+        const int64_t skipped = layer * 2 * n * n;
+        Complex* const W = reinterpret_cast<Complex*>(x + table.position + skipped);
+        aim = table.sets ? reinterpret_cast<const Complex*>(table.aim + skipped) : nullptr;
         for (int64_t begin = 0; begin < diagonals; begin += TOGETHER) {
             const int64_t end = std::min(diagonals, begin + TOGETHER);
             int64_t work = 0;
@@ -66,6 +68,7 @@ class Modes {
     const int64_t diagonals;
     std::vector<const double*> harmonics;  // the first one of each diagonal
     Memory memory;
+    const Complex* aim = nullptr;  // the matrix at rest of the layer that is changed
 
     int64_t work_of(int64_t d) const {
         const int64_t count = table.begin[d + 1] - table.begin[d];
@@ -99,7 +102,7 @@ class Modes {
     }
 
     Complex moving(const Complex* W, int64_t e) const {
-        return table.sets ? W[e] - reinterpret_cast<const Complex*>(table.aim)[e] : W[e];
+        return aim ? W[e] - aim[e] : W[e];
     }
 
     // The diagonal; for harmonics its even and its odd part.
