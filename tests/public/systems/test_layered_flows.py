@@ -97,6 +97,20 @@ def test_casimirs_of_every_layer_and_the_energy(name):
     np.testing.assert_allclose(s.spectrum(sol.x[-1]), s.spectrum(x0), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["three layers", "two layers", "of latitude"])
+def test_angular_momentum_of_the_frame_and_the_flow(name):
+    """The integral of mu times the potential vorticity q, which at rest is 2 rotation mu in every layer."""
+    s = FLOWS[name]
+    momentum, thickness = s.integrals["angular momentum z"], s.thicknesses.sum()
+    at_rest = 2 * s.rotation * 4 * np.pi / 3 * thickness
+    np.testing.assert_allclose(momentum(s.planetary), at_rest, rtol=1e-12)
+    wave = s.fluid.from_modes(s.fluid.mode_array(s.planetary[0], absolute=True) / (2 * s.rotation), absolute=True)
+    for k, H in enumerate(s.thicknesses):
+        x = s.planetary.copy()
+        x[k] += 0.3 * wave  # of vorticity 0.3 mu
+        np.testing.assert_allclose(momentum(x), at_rest + 0.3 * 4 * np.pi / 3 * H, rtol=1e-12)
+
+
 @pytest.mark.parametrize("stages", [1, 2])
 @EACH
 def test_compiled_steps_are_those_of_numpy(name, stages):

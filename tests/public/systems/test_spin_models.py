@@ -311,6 +311,15 @@ def test_the_g_of_substituted_ions():
     assert "2 of Fe: S = 3, moment 4.5 mu_B" in str(alloy)
 
 
+@pytest.mark.parametrize("g", [1.5, -0.5])
+def test_dipoles_of_substituted_ions_have_their_g(g):
+    pair = co.systems.spins(CUBE, (1, 1, 2), spin=2, periodic=False).dipolar()
+    alloy = pair.substitute("Fe", 0.5, seed=1, spin=3, g=g)
+    assert sorted(alloy.moments.tolist()) == sorted([4.0, 3 * g])
+    np.testing.assert_allclose(alloy.energy([0, 0, 1] * 2), -2 * 4 * 3 * g / 27, rtol=1e-12)  # mu mu'/r^3, r = 3
+    np.testing.assert_allclose(alloy.hamiltonian.hessian(np.zeros(6))[0, 3], 4 * 3 * g / 27, rtol=1e-12)
+
+
 def test_members_and_batches():
     bond = CUBE.bonds(3)["1"]
     models = [co.systems.spins(CUBE, (3, 3, 1), periodic=(True, True, False)).exchange(bond, J) for J in (0.3, -0.8)]
