@@ -121,6 +121,18 @@ def test_each_member_has_the_derivatives_of_its_own_noise(name):
     assert np.ptp(wanted, axis=0).max() > 0.05
 
 
+@pytest.mark.parametrize("name", ["random field", "of two Hamiltonians"])
+def test_several_directions_of_a_parameter_at_once(name):
+    """The first of them may be zero; the others have the tangents that they have alone."""
+    base, force, method = NOISES_OF_MEMBERS[name]
+    x0, span, label = np.tile(X3, base.dim // 3), (0.5, 0.5 + 3 * H), f"{type(force).__name__}.strength"
+    ready = co.prepare(base.with_forces(force), method, H)
+    alone = ready.jvp(x0, span, {label: 1.0})[1].x
+    together = ready.jvp(x0, span, {label: np.array([0.0, 1.0, -2.0])})[1].x
+    np.testing.assert_allclose(together, np.multiply.outer(alone, [0.0, 1.0, -2.0]), rtol=0, atol=1e-13)
+    assert np.abs(alone[-1]).max() > 0.05
+
+
 C1 = 1 / (2 - 2 ** (1 / 3))
 COMPOSED = co.Composition(co.IsospectralGauss(), (C1, 1 - 2 * C1, C1))
 
