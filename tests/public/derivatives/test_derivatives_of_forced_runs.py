@@ -91,6 +91,80 @@ def test_noise_is_frozen(name):
     assert_derivatives(acting(base, *forces), method, x0, (0.5, 0.5 + 6 * H), H, attitude=True)
 
 
+RING = co.systems.spin_lattice("ring", 3)
+NOISES_OF_MEMBERS = {
+    "random field": (RING, F.RandomField(0.5, seed=1), co.SphericalMidpoint()),
+    "spins in a bath": (RING, F.Gilbert(0.3, temperature=0.5, seed=7), co.SphericalMidpoint()),
+    "of two Hamiltonians": (
+        BODY,
+        F.HamiltonianNoise([co.Polynomial({(1, 0, 0): 1.0}), co.Polynomial({(0, 1, 1): 1.0})], 0.4, seed=3),
+        co.Splitting(),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOISES_OF_MEMBERS)
+def test_each_member_has_the_derivatives_of_its_own_noise(name):
+    """Members that start alike differ by their noise alone, and so do their derivatives."""
+    base, force, method = NOISES_OF_MEMBERS[name]
+    x0 = np.tile(X3, (3, base.dim // 3)) / np.linalg.norm(X3)
+    ready, end, d = co.prepare(base.with_forces(force), method, H), 0.5 + 3 * H, 1e-5
+    ahead, behind = (ready.run(x0 + sign * d, (0.5, end)).x[-1] for sign in (1, -1))
+    wanted = (ahead - behind) / (2 * d)
+    tangent = ready.jvp(x0, (0.5, end), {"x0": np.ones_like(x0)})[1].x[-1]
+    np.testing.assert_allclose(tangent, wanted, rtol=0, atol=1e-8)
+    sol, pullback = ready.vjp(x0, (0.5, end))
+    weights = np.zeros_like(sol.x)
+    weights[-1] = np.random.default_rng(4).standard_normal(x0.shape)
+    by_member = pullback(weights)["x0"].sum(axis=1)
+    np.testing.assert_allclose(by_member, (weights[-1] * wanted).sum(axis=1), rtol=0, atol=1e-7)
+    assert np.ptp(wanted, axis=0).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["random field", "of two Hamiltonians"])
+def test_several_directions_of_a_parameter_at_once(name):
+    """The first of them may be zero; the others have the tangents that they have alone."""
+    base, force, method = NOISES_OF_MEMBERS[name]
+    x0, span, label = np.tile(X3, base.dim // 3), (0.5, 0.5 + 3 * H), f"{type(force).__name__}.strength"
+    ready = co.prepare(base.with_forces(force), method, H)
+    alone = ready.jvp(x0, span, {label: 1.0})[1].x
+    together = ready.jvp(x0, span, {label: np.array([0.0, 1.0, -2.0])})[1].x
+    np.testing.assert_allclose(together, np.multiply.outer(alone, [0.0, 1.0, -2.0]), rtol=0, atol=1e-13)
+    assert np.abs(alone[-1]).max() > 0.05
+
+
+C1 = 1 / (2 - 2 ** (1 / 3))
+COMPOSED = co.Composition(co.IsospectralGauss(), (C1, 1 - 2 * C1, C1))
+
+
+@pytest.mark.parametrize(
+    ("fluid", "force"),
+    [
+        ("torus_euler", F.Friction(lambda k: 0.1 * k)),
+        ("torus_euler", F.BetaPlane(0.7)),
+        ("sphere_euler", F.Viscosity(0.05)),
+    ],
+)
+def test_substeps_of_several_lengths_decay_by_their_own_lengths(fluid, force):
+    """Of modes of a fluid, around steps forward and backward: the derivatives are those of the run."""
+    s, rng = co.systems.get(fluid, N=5), np.random.default_rng(2)
+    x0, direction, weight = (
+        s.algebra.projected(rng.standard_normal((5, 5)) + 1j * rng.standard_normal((5, 5))) for _ in range(3)
+    )
+    ready, span, d = co.prepare(s.with_forces(force), COMPOSED, 0.05), (0.2, 0.5), 1e-5
+    ahead, behind = (ready.run(x0 + sign * d * direction, span).x[-1] for sign in (1, -1))
+    wanted = (ahead - behind) / (2 * d)
+    tangent = ready.jvp(x0, span, {"x0": direction})[1].x[-1]
+    np.testing.assert_allclose(tangent, wanted, rtol=0, atol=1e-8)
+    sol, pullback = ready.vjp(x0, span)
+    weights = np.zeros_like(sol.x)
+    weights[-1] = weight
+    gradient = pullback(weights)["x0"]
+    np.testing.assert_allclose(
+        np.sum(gradient.conj() * direction).real, np.sum(weight.conj() * wanted).real, rtol=0, atol=1e-7
+    )
+
+
 @pytest.mark.parametrize("scale", [1e-7, 1e30])
 def test_derivatives_follow_the_unit_of_the_momentum(scale):
     """Of a free body with moments and momenta in another unit, and of its damping."""

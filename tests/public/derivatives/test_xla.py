@@ -335,6 +335,18 @@ def test_functions_of_jax_are_stepped_by_gauss(H, ends):
     np.testing.assert_allclose(gradient, first, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["energy", "torque"])
+def test_times_between_steps_have_the_moments_of_the_run(name):
+    """What depends on the time has it in the partial steps too, of runs that do not start at zero."""
+    system, method = {
+        "energy": (co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(timed)), co.GaussLegendre(2)),
+        "torque": (BODY.with_forces(co.forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))), co.Splitting()),
+    }[name]
+    ready, ends, t_eval = co.prepare(system, method, 0.1), (4.5, 3.0), [4.47, 4.0, 3.72, 3.01]
+    found = co.jax.solution(ready, ends, t_eval=t_eval, backend="xla")(X0)
+    np.testing.assert_allclose(found, ready.run(X0, ends, t_eval=t_eval).x, rtol=0, atol=1e-13)
+
+
 def test_stages_that_do_not_converge_are_nan():
     ready = prepared(method=co.GaussLegendre(2))
     f = co.jax.solution(ready, (0, 0.05), backend="xla")

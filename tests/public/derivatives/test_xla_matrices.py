@@ -113,6 +113,17 @@ def test_forces_act_as_in_the_compiled_runs(name, method):
     assert np.abs(found[-1] - without_forces(system, method, 0.02, (0.3, 0.6), x0, **options)[-1]).max() > 1e-3
 
 
+@pytest.mark.parametrize("layer", ["vorticity", "carried"])
+def test_a_force_acts_on_the_field_that_it_names(layer):
+    system = made("reduced_mhd")
+    x0 = start_of(system)
+    forced = system.with_forces(F.Viscosity(0.3, layer=layer))
+    found, wanted = both(forced, co.IsospectralGauss(), 0.05, (0.0, 0.2), x0)
+    assert np.abs(found - wanted).max() < tolerance(system, 4)
+    other = system.with_forces(F.Viscosity(0.3, layer={"vorticity": "carried", "carried": "vorticity"}[layer]))
+    assert np.abs(found[-1] - co.integrate(other, x0, (0.0, 0.2), 0.05).x[-1]).max() > 1e-2
+
+
 def without_forces(system, method, h, span, x0, **options):
     """Return the states of the compiled run without forces."""
     return co.prepare(system, method, h).run(x0, span, **options).x

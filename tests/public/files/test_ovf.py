@@ -135,6 +135,19 @@ def test_proportional_meshes_are_interpolated(tmp_path, shape):
     assert np.abs(co.spins.read_ovf(tmp_path / "m.ovf").spins(shape) - expected.ravel()).max() < 1e-14
 
 
+@pytest.mark.parametrize("count", [2, 3, 8, 10, 15])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_directions_turn_linearly_between_neighbours(tmp_path, axis, count):
+    """A chain whose moments differ from cell to cell: components lie on the segments between adjacent centres."""
+    nodes = tuple(5 if a == axis else 1 for a in range(3))
+    values = np.random.default_rng(3).standard_normal((5, 3)) + [0, 0, 2.0]
+    (tmp_path / "m.ovf").write_bytes(foreign(values.reshape(*nodes, 3), "Binary 8"))
+    wanted = [np.interp((np.arange(count) + 0.5) / count, (np.arange(5) + 0.5) / 5, one) for one in values.T]
+    wanted = -np.transpose(wanted) / np.linalg.norm(wanted, axis=0)[:, None]
+    found = co.spins.read_ovf(tmp_path / "m.ovf").spins(tuple(count if a == axis else 1 for a in range(3)))
+    np.testing.assert_allclose(found.reshape(-1, 3), wanted, rtol=0, atol=1e-14)
+
+
 def test_cells_without_material_have_no_spin(tmp_path):
     m = moments() * 8e5
     m[1, 2, 0] = 0.0

@@ -97,6 +97,34 @@ def test_casimirs_of_every_layer_and_the_energy(name):
     np.testing.assert_allclose(s.spectrum(sol.x[-1]), s.spectrum(x0), rtol=0, atol=1e-12)
 
 
+@EACH
+def test_the_structure_matrix_takes_the_gradient_of_the_energy_to_the_motion(name):
+    """Also where the thicknesses of the layers weigh the energy."""
+    s = FLOWS[name]
+    x = s.to_vector(start_of(s))
+    J, gradient = s.structure_matrix(x), s.hamiltonian.gradient(x)
+    np.testing.assert_allclose(J, -J.T, rtol=0, atol=1e-12 * np.abs(J).max())
+    rates = s.to_vector(s.vector_field(start_of(s)))
+    np.testing.assert_allclose(J @ gradient, rates, rtol=0, atol=1e-12 * np.abs(rates).max())
+    for casimir in s.casimirs.values():
+        slope = casimir.gradient(x)
+        assert np.abs(J @ slope).max() < 1e-12 * np.abs(J).max() * max(1.0, np.abs(slope).max())
+
+
+@pytest.mark.parametrize("name", ["three layers", "two layers", "of latitude"])
+def test_angular_momentum_of_the_frame_and_the_flow(name):
+    """The integral of mu times the potential vorticity q, which at rest is 2 rotation mu in every layer."""
+    s = FLOWS[name]
+    momentum, thickness = s.integrals["angular momentum z"], s.thicknesses.sum()
+    at_rest = 2 * s.rotation * 4 * np.pi / 3 * thickness
+    np.testing.assert_allclose(momentum(s.planetary), at_rest, rtol=1e-12)
+    wave = s.fluid.from_modes(s.fluid.mode_array(s.planetary[0], absolute=True) / (2 * s.rotation), absolute=True)
+    for k, H in enumerate(s.thicknesses):
+        x = s.planetary.copy()
+        x[k] += 0.3 * wave  # of vorticity 0.3 mu
+        np.testing.assert_allclose(momentum(x), at_rest + 0.3 * 4 * np.pi / 3 * H, rtol=1e-12)
+
+
 @pytest.mark.parametrize("stages", [1, 2])
 @EACH
 def test_compiled_steps_are_those_of_numpy(name, stages):

@@ -153,6 +153,18 @@ def points_on_sphere(latitude, longitude):
     ), axis=-1)  # fmt: skip
 
 
+@pytest.mark.parametrize("circulations", [(1.0, 2.5), (1.0, -1.0)])
+def test_the_closed_form_of_a_pair_at_any_value_of_the_central_coordinate(circulations):
+    """Brackets are proportional to z, and a pair moves z times as fast."""
+    s = S.point_vortices(circulations)
+    x0 = s.state([[0.5, 0.2], [-0.3, 0.1]])
+    faster = np.append(x0[:-1], -1.7)
+    np.testing.assert_allclose(s.vector_field(faster)[:-1], -1.7 * s.vector_field(x0)[:-1], rtol=1e-14)
+    found = s.exact(faster, np.array([0.4, 3.0]))
+    np.testing.assert_allclose(found[:, :-1], s.exact(x0, -1.7 * np.array([0.4, 3.0]))[:, :-1], rtol=0, atol=1e-13)
+    assert found[:, -1].tolist() == [-1.7, -1.7]
+
+
 def test_archives_and_places(tmp_path):
     s = S.point_vortices(CIRCULATIONS, "sphere")
     x0 = s.state(places_of("sphere"))
@@ -176,6 +188,8 @@ def test_what_is_refused():
         S.point_vortices((1.0, 0.0))
     with refused(ValueError, "latitude", "radians"):
         sphere.state([[45.0, 0.0], [0.0, 0.0]])
+    with refused(ValueError, "latitude 2", "pi/2"):  # such as a longitude in its place
+        sphere.state([[2.0, 0.1], [0.0, 0.0]])
     with refused(ValueError, "length 2", "unit"):
         sphere.state([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     with refused(ValueError, "(3, 2)", "2 vortices"):

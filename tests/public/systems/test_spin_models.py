@@ -24,6 +24,10 @@ CUBE = co.spins.crystal(lattice=(3, 3, 3, 90, 90, 90), sites={"Fe": (0, 0, 0)}, 
 POLAR = co.spins.crystal(  # two kinds of sites, Dzyaloshinskii-Moriya vectors and general anisotropies
     lattice=(4, 5, 6, 90, 90, 90), sites={"Fe": (0.1, 0.2, 0), "Ni": (0.4, 0.8, 0.1)}, space_group="P 1 2 1"
 )
+WIDER = co.spins.crystal(lattice=(4, 4, 4, 90, 90, 90), sites={"Fe": (0, 0, 0)}, space_group="P m -3 m")
+MOVED = co.spins.crystal(  # sites of the same labels as of the polar one
+    lattice=(4, 5, 6, 90, 90, 90), sites={"Fe": (0.1, 0.2, 0), "Ni": (0.4, 0.7, 0.1)}, space_group="P 1 2 1"
+)
 
 
 def start(model, seed=1):
@@ -121,6 +125,22 @@ def test_energies_and_motions_by_hand(periodic, units, driven):
     ]
     found = co.integrate(model, x0, (0, end), end / 50, co.GaussLegendre(3) if driven else co.Splitting(order=6)).x[-1]
     np.testing.assert_allclose(found, exact, atol=1e-7)
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_a_field_of_the_time_acts_on_moments_of_any_size(each):
+    model = co.systems.spins(POLAR, (2, 1, 1), spin={"Fe": 2.5, "Ni": 1.0}, g={"Fe": 2.0, "Ni": -2.3}, units="meV")
+    model = model.substitute("Fe", 0.5, seed=1, spin=1.0, g=1.0)
+    rows = np.linspace(0.5, 2.0, len(model.sites))[:, None] if each else 1.0
+    driven = model.field(lambda t: rows * np.array([0.3 * t, 0.1, np.cos(t)]))
+    x, t = start(model).reshape(-1, 3), 0.7
+    field = MU_B * model.moments[:, None] * rows * np.array([0.3 * t, 0.1, np.cos(t)])
+    np.testing.assert_allclose(driven.energy(x.ravel(), t), -np.sum(x * field), rtol=1e-8)
+    rates = np.cross(x, field) / (HBAR * model.spin[:, None])
+    np.testing.assert_allclose(
+        driven.vector_field(x.ravel(), t), rates.ravel(), rtol=0, atol=1e-7 * np.abs(rates).max()
+    )
+    assert len(set(model.moments.tolist())) == 3
 
 
 LATTICES = {
@@ -311,6 +331,15 @@ def test_the_g_of_substituted_ions():
     assert "2 of Fe: S = 3, moment 4.5 mu_B" in str(alloy)
 
 
+@pytest.mark.parametrize("g", [1.5, -0.5])
+def test_dipoles_of_substituted_ions_have_their_g(g):
+    pair = co.systems.spins(CUBE, (1, 1, 2), spin=2, periodic=False).dipolar()
+    alloy = pair.substitute("Fe", 0.5, seed=1, spin=3, g=g)
+    assert sorted(alloy.moments.tolist()) == sorted([4.0, 3 * g])
+    np.testing.assert_allclose(alloy.energy([0, 0, 1] * 2), -2 * 4 * 3 * g / 27, rtol=1e-12)  # mu mu'/r^3, r = 3
+    np.testing.assert_allclose(alloy.hamiltonian.hessian(np.zeros(6))[0, 3], 4 * 3 * g / 27, rtol=1e-12)
+
+
 def test_members_and_batches():
     bond = CUBE.bonds(3)["1"]
     models = [co.systems.spins(CUBE, (3, 3, 1), periodic=(True, True, False)).exchange(bond, J) for J in (0.3, -0.8)]
@@ -417,6 +446,13 @@ def test_sites_of_equal_energy():
     ("words", "call"),
     [
         (("another crystal",), lambda m: m.exchange(POLAR.bonds(4)[0], 1.0)),
+        (("another crystal",), lambda m: m.exchange(WIDER.bonds(4)[0], 1.0)),
+        (
+            ("another crystal",),
+            lambda m: co.systems.spins(POLAR, (3, 3, 3)).exchange(
+                next(bond for bond in MOVED.bonds(5) if len(set(bond.kinds)) == 2), 1.0
+            ),
+        ),
         (("bonds(",), lambda m: m.exchange("1", 1.0)),
         (("exchange", "bond 1", "sum"), lambda m: m.exchange(CUBE.bonds(3)[0], 1.0).exchange(CUBE.bonds(3)[0], 1.0)),
         (("not allowed", "A"), lambda m: m.exchange(CUBE.bonds(3)[0], np.diag([1.0, 2.0, 3.0]))),
