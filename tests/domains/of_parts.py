@@ -229,6 +229,7 @@ OF_FORCES = {
     "RandomForcing": {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
+        "layer": Domain(("vorticity", "carried", 0, 63), ("vorticityx", "", None, True, 64, -1, 1.5, 1j, math.nan, [])),
     },
     "SelectiveDecay": {"rate": not_negative()},
     "TransportNoise": {

@@ -191,7 +191,7 @@ OWN = {
     },
     "maxwell_bloch": {"coupling": positive()},
     "layered_qg": {
-        "N": one_of(5, 3).plus(outside=(0, 1, 2, -3)).first(5, 3, 7, np.int64(7)),
+        "N": whole(3, usual=5),
         "gamma": vector(((1.0, -1.0), (-1.0, 1.0)), real(), ((2.0, -1.0), (-1.0, 1.5)), np.zeros((2, 2))).plus(
             outside=(np.zeros((1, 1)), np.ones((2, 3)), ((1.0, -1.0), (-2.0, 2.0)), ((-1.0, 1.0), (1.0, -1.0)))
         ).but_called(r"\bgamma\b"),

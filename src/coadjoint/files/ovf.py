@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,15 @@ from coadjoint.files.output.output_files import OVFS, check_target, pending
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
-from coadjoint.validation import read_choice, read_finite, read_integer, read_number, read_path, read_title
+from coadjoint.validation import (
+    read_choice,
+    read_finite,
+    read_integer,
+    read_number,
+    read_path,
+    read_title,
+    reject_lost_labels,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -343,7 +350,8 @@ def _binary(path: str | Path, content: bytes, begin: int, kind: str, count: int)
 
 def _read_shape(shape: npt.ArrayLike) -> tuple[int, int, int]:
     """Return the numbers of cells along x, y, z."""
-    given: tuple[Any, ...] = (shape,) if np.ndim(shape) == 0 else tuple(np.asarray(shape).tolist())
+    reject_lost_labels(shape, "shape")
+    given = np.atleast_1d(np.asarray(shape)).tolist()
     if not 1 <= len(given) <= 3:
         raise ValueError(f"shape is {short(shape)}; it must be one to three numbers of cells, along x, y, z")
     nx, ny, nz = (*(read_integer(one, "shape", 1) for one in given), 1, 1)[:3]

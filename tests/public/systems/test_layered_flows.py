@@ -332,8 +332,7 @@ def test_what_is_refused():
     for force, named in (
         (some.RandomForcing(0.5, (2, 3), seed=3), ("layer", "0 to 1")),
         (some.RandomForcing(0.5, (2, 3), seed=3, layer=2), ("layer is 2", "0 to 1")),
-        (some.Friction(0.1, layer=1), ("layer is 1", "all layers", "interface")),
-        (some.Viscosity(0.1, layer="carried"), ("carried", "all layers")),
+        (some.Viscosity(0.1, layer="carried"), ("carried", "layer")),
         (some.SelectiveDecay(0.1), ("layers", "Viscosity")),
         (some.DoubleBracketDamping(0.1), ("layers", "Friction")),
         (some.HeatBath(0.1, 0.1, seed=1), ("layers",)),
@@ -343,7 +342,10 @@ def test_what_is_refused():
     with refused(ValueError, "BetaPlane", "layers", "rotation"):
         FLOWS["torus"].with_forces(some.BetaPlane(1.0))
     with refused(ValueError, "layer is 1", "sphere_euler"):
-        s.fluid.with_forces(some.Friction(0.1, layer=1))
+        s.fluid.with_forces(some.RandomForcing(0.5, (2, 3), seed=3, layer=1))
+    for force in (some.Friction, some.Viscosity):
+        with refused(ValueError, "layer is 1", "all layers", "interface"):
+            force(0.1, layer=1)
     with refused(ValueError, "(9, 9)", "(2, 9, 9)"):
         co.integrate(s, s.fluid.random(1), (0, 1), 0.1, co.IsospectralGauss())
     with refused(ValueError, "torus", "Rossby"):

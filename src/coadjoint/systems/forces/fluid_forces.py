@@ -23,6 +23,7 @@ from coadjoint.systems.forces.mode_force import (
     layer_vector,
     modes_of,
     noise_matrix,
+    read_field,
     read_layer,
 )
 from coadjoint.systems.matrices.torus_modes import representatives
@@ -65,7 +66,7 @@ class Friction(ModeRates):
     """
 
     rate: float | Callable[[Any], Any]
-    layer: str | int = "vorticity"
+    layer: str = "vorticity"
 
     example: ClassVar = {"rate": 0.2}
 
@@ -74,7 +75,7 @@ class Friction(ModeRates):
             check_arguments(self.rate, "rate of Friction", "scale")
         else:
             self._read(rate=read_number)
-        self._read(layer=read_layer)
+        self._read(layer=read_field)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         rate, scales = self.rate, modes.scales(d, numbers)
@@ -141,13 +142,13 @@ class Viscosity(ModeRates):
     nu: float
     power: int = 1
     rotation: bool = False
-    layer: str | int = "vorticity"
+    layer: str = "vorticity"
 
     example: ClassVar = {"nu": 0.02}
 
     def __post_init__(self) -> None:
         power = partial(read_integer, minimum=1, maximum=MAX_POWER)
-        self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_layer)
+        self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_field)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer != "carried" else 0.0

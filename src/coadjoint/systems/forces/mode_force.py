@@ -216,6 +216,16 @@ def modes_of(system: Any, what: str) -> ModeBasis:
     return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N, system.stream)
 
 
+def read_field(value: Any, what: str) -> str:
+    """Validate the name of a field on which rates of modes act; layers have them alike."""
+    if is_integer(value):
+        raise ValueError(
+            f"{what} is {value}; friction and viscosity act on all layers of a flow: in one alone they would act on the "
+            f"potential vorticity, move the interface and add energy; leave {what}= out"
+        )
+    return read_choice(value, what, LAYERS)
+
+
 def read_layer(value: Any, what: str) -> str | int:
     """Validate the name of a field, or the number of a layer."""
     if is_integer(value):
@@ -236,7 +246,7 @@ class ModeRates(Force):
     # c is the mode of the state without that at rest: on a rotating sphere, whose state is the absolute vorticity, of
     # the relative vorticity; in a quasi-geostrophic flow of the potential vorticity without its planetary term.
 
-    layer: str | int
+    layer: str
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> npt.NDArray[Any]:
@@ -252,10 +262,7 @@ class ModeRates(Force):
             first = layer_index(system, self.layer)
             return range(first, first + 1)
         if self.layer != "vorticity":
-            raise ValueError(
-                f"layer is {self.layer!r}; {self.label} acts on all layers of {system.name}: in one alone it would act "
-                "on the potential vorticity, move the interface and add energy; leave layer= out"
-            )
+            raise ValueError(f"layer is {self.layer!r}; {system.name} has no carried field; leave layer= out")
         return range(system.matrix_shape[0])
 
     def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:

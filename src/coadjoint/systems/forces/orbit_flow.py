@@ -349,7 +349,7 @@ def metric_root(metric: Any, what: str) -> NDArray[np.float64]:
     for k in range(n):
         if remainder[k, k] > tolerance:
             L[k:, k] = remainder[k:, k] / np.sqrt(remainder[k, k])
-            remainder -= np.multiply.outer(L[:, k], L[:, k])
+            remainder[k:, k:] -= np.multiply.outer(L[k:, k], L[k:, k])
         elif remainder[k, k] < -tolerance or np.max(np.abs(remainder[k:, k])) > np.sqrt(tolerance * size):
             raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
     return L

@@ -106,7 +106,9 @@ def spins(
     else:
         mu = _of_sites(moments, "moments", crystal)
         lengths = np.abs(mu / of_g) if spin is None else _of_sites(spin, "spin", crystal)
-        of_g = np.copysign(of_g, mu * of_g) if spin is None else mu / np.where(lengths, lengths, 1.0)
+        if spin is None and g is not None and np.any(mu * of_g < 0.0):
+            raise ValueError("moments and g have other signs, and moments are g times a length; give them one sign")
+        of_g = np.copysign(of_g, mu) if spin is None else mu / np.where(lengths, lengths, 1.0)
     what = "spin" if moments is None or spin is not None else "moments"
     if not np.all(lengths >= 1.0 / MAX_COUPLING):
         raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")

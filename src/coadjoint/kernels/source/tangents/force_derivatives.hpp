@@ -257,7 +257,7 @@ class ForceDerivative {
         for (int64_t i = 0; i < n; ++i) size = larger(size, absolute(x[i]));
         const double length = DIFFERENCE * (size > 0.0 ? size : 1.0);
         std::vector<double> direction(n), tangent(n), ends[2];
-        for (int64_t i = 0; i < n; ++i) direction[i] = std::cos(1.0 + double(i));
+        for (int64_t i = 0; i < n; ++i) direction[i] = (i % 2 ? -1.0 : 1.0) * (0.5 + double(7 * i % 11) / 11.0);
         move_along(at, x, direction.data(), tangent.data());
         for (int side = 0; side < 2; ++side) {
             std::vector<double>& end = ends[side];
