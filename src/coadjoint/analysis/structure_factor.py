@@ -221,7 +221,10 @@ def _lattice_of(system: Any) -> Lattice:
             f"co.load takes as system=, since archives have no crystals), or one of {', '.join(CELLS)}, as "
             "spin_lattice and layout= give"
         )
-    lattice = lattice_by_name(name, system.layout["shape"])
+    shape, axes = system.layout.get("shape"), len(CELLS[name].edges)
+    if shape is None or len(sizes_of(shape)) != axes:
+        raise ValueError(f"the shape in layout of {system.name} is {short(shape)}; {name} has cells along {axes} axes")
+    lattice = lattice_by_name(name, shape)
     sites = len(lattice.sites) * math.prod(lattice.sizes)
     if 3 * sites != system.dim:
         raise ValueError(f"the lattice of {system.name} has {sites} sites, and its states {system.dim} coordinates")

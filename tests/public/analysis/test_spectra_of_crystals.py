@@ -60,6 +60,15 @@ def test_spectra_by_hand(models, span):
     np.testing.assert_allclose(S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0]), static, rtol=1e-11)
 
 
+@pytest.mark.parametrize("layout", [{"lattice": "square"}, {"lattice": "square", "shape": (4,)}])
+def test_layouts_without_a_fitting_shape(layout):
+    ring = co.systems.spin_lattice("ring", 4)
+    system = co.LiePoissonSystem(ring.algebra, ring.hamiltonian, layout=layout)
+    sol = co.integrate(system, directions(ring), (0, 2), 0.05, save_every=4)
+    with pytest.raises(ValueError, match=r"shape in layout of .* square has cells along 2 axes"):
+        co.spectra.structure_factor(sol, [(0, 0), (1, 0)])
+
+
 def body_centred(a=1.0):
     return co.spins.crystal(lattice=(a, a, 0.7 * a, 90, 90, 90), sites={"Mn": [(0, 0, 0), (1 / 2, 1 / 2, 1 / 2)]})
 
