@@ -37,6 +37,7 @@ BRIGHTEST = 10.0
 MARGIN = 1.15
 """Highest frequency shown, in units of the highest visible one."""
 LARGEST_DENOMINATOR = 64  # of wave vectors written as fractions
+CHARACTERS_ACROSS = 85  # of labels side by side below a path
 
 
 MAX_LARGE_DOTS = 2000
@@ -106,11 +107,16 @@ def draw_structure_factor(spectrum: Any) -> Figure:
     visible = omega[np.any(intensity > lowest, axis=1)]
     axes.set_ylim(0.0, min(omega[-1], MARGIN * visible.max(initial=omega[1])))
     names = [corner_name(spectrum.q[corner]) for corner in spectrum.corners]
-    axes.set_xticks(spectrum.distance[spectrum.corners], names)
+    corners, widths = spectrum.distance[spectrum.corners], np.array([len(name) + 2 for name in names])
+    crowded = 0.5 * (widths[1:] + widths[:-1]) * corners[-1] > CHARACTERS_ACROSS * np.diff(corners)
+    slanted: dict[str, Any] = {"rotation": 30.0, "ha": "right", "rotation_mode": "anchor"} if np.any(crowded) else {}
+    axes.set_xticks(corners, names, **slanted)
     for corner in spectrum.corners[1:-1]:
         axes.axvline(spectrum.distance[corner], color="white", linewidth=0.6)
     axes.set(
-        xlabel="wave vector $q$ [reciprocal edges]", ylabel=r"frequency $\omega$", title="dynamic structure factor"
+        xlabel="wave vector $q$ [reciprocal lattice units]",
+        ylabel=r"frequency $\omega$",
+        title="dynamic structure factor",
     )
     plain_axes(axes)
     axes.grid(False)

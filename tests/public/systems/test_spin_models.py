@@ -29,6 +29,10 @@ MOVED = co.spins.crystal(  # sites of the same labels as of the polar one
     lattice=(4, 5, 6, 90, 90, 90), sites={"Fe": (0.1, 0.2, 0), "Ni": (0.4, 0.7, 0.1)}, space_group="P 1 2 1"
 )
 
+TWO_KINDS = co.spins.crystal(
+    lattice=(4, 5, 6, 80, 90, 90), sites={"Fe1": (0, 0, 0), "Fe2": (0.5, 0, 0), "Ni1": (0, 0.5, 0.2)}, space_group="P 1"
+)
+
 
 def start(model, seed=1):
     """Return random directions of the spins."""
@@ -340,6 +344,18 @@ def test_dipoles_of_substituted_ions_have_their_g(g):
     np.testing.assert_allclose(alloy.hamiltonian.hessian(np.zeros(6))[0, 3], 4 * 3 * g / 27, rtol=1e-12)
 
 
+def test_elements_of_one_label_stand_for_it():
+    model, A = co.systems.spins(TWO_KINDS, (3, 3, 3)), np.diag([0.1, 0.2, -0.4])
+    x = start(model)
+    assert TWO_KINDS.site("Ni").number == TWO_KINDS.site("Ni1").number == 2 and TWO_KINDS.site("Fe2").number == 1
+    assert model.single_ion("Ni", A).energy(x) == model.single_ion("Ni1", A).energy(x) != model.energy(x)
+    for name in ("Ni", "Ni1"):
+        assert np.bincount(model.vacancies({name: 1 / 3}, seed=1).sites).tolist() == [27, 27, 18]
+        alloy = model.substitute(name, 1 / 3, seed=1, spin=2)
+        assert np.bincount(alloy.sites, alloy.spin).tolist() == [27, 27, 36]
+        assert "9 of Ni1: S = 2" in str(alloy)
+
+
 def test_members_and_batches():
     bond = CUBE.bonds(3)["1"]
     models = [co.systems.spins(CUBE, (3, 3, 1), periodic=(True, True, False)).exchange(bond, J) for J in (0.3, -0.8)]
@@ -467,6 +483,10 @@ def test_sites_of_equal_energy():
         (("one call",), lambda m: m.vacancies(0.1, seed=1).vacancies(0.1, seed=2)),
         (("Ni",), lambda m: m.vacancies({"Ni": 0.1}, seed=1)),
         (("Ni",), lambda m: m.substitute("Ni", 0.1, seed=1, spin=1)),
+        (("label", "Fe1, Fe2"), lambda m: co.systems.spins(TWO_KINDS, (4, 4, 4)).vacancies({"Fe": 0.1}, seed=1)),
+        (("label", "Fe1, Fe2"), lambda m: co.systems.spins(TWO_KINDS, (4, 4, 4)).substitute("Fe", 0, seed=1, spin=1)),
+        (("site", "Fe1, Fe2"), lambda m: TWO_KINDS.site("Fe")),
+        (("Ni1", "element"), lambda m: co.systems.spins(TWO_KINDS, (2, 1, 1)).vacancies({"Ni": 0, "Ni1": 0}, seed=1)),
         (("spin",), lambda m: m.substitute("Fe", 0.1, seed=1, spin=0.0)),
         (("g is 0",), lambda m: m.substitute("Fe", 0.1, seed=1, spin=1, g=0)),
         (("large", "units"), lambda m: m.field((0, 0, 1e150))),

@@ -220,8 +220,8 @@ def read_field(value: Any, what: str) -> str:
     """Validate the name of a field on which rates of modes act; layers have them alike."""
     if is_integer(value):
         raise ValueError(
-            f"{what} is {value}; friction and viscosity act on all layers of a flow: in one alone they would act on the "
-            f"potential vorticity, move the interface and add energy; leave {what}= out"
+            f"{what} is {value}; friction and viscosity act on all layers of a flow: in one alone they would act on "
+            f"the potential vorticity, move the interface and add energy; leave {what}= out"
         )
     return read_choice(value, what, LAYERS)
 

@@ -131,7 +131,8 @@ class Crystal:
         Parameters
         ----------
         site : str or int
-            A label, if all sites that have it are equivalent; or the number of the representative in `labels`.
+            A label, or the element of one label only, if all its sites are equivalent; or the number of the
+            representative in `labels`.
 
         Returns
         -------
@@ -140,7 +141,7 @@ class Crystal:
         Raises
         ------
         ValueError, TypeError
-            An unknown site, or a label of sites that symmetry does not make equal.
+            An unknown site, an element of several labels, or a label of sites that symmetry does not make equal.
 
         Examples
         --------
@@ -150,7 +151,8 @@ class Crystal:
         (<site Fe 0, 1 in a cell>, 1)
         """
         if isinstance(site, str):
-            number = self.labels.index(read_choice(site, "site", dict.fromkeys(self.labels)))
+            site = label_of(self, site, "site")
+            number = self.labels.index(site)
             others = [k for k, label in enumerate(self.labels) if label == site]
             first = [min(self._images[:, k].tolist()) for k in others]
             if len(set(first)) > 1:
@@ -333,6 +335,18 @@ class Crystal:
                 )
             shifts[k] = cells[np.arange(sites), images[k]]
         return images, shifts
+
+
+def label_of(crystal: Crystal, name: Any, what: str) -> str:
+    """Return a label of a crystal, given itself or, where one label only has it, by its element."""
+    known = dict.fromkeys(crystal.labels)
+    if isinstance(name, str) and name not in known:
+        kinds = zip(crystal.labels, crystal.species, strict=True)
+        found = list(dict.fromkeys(label for label, kind in kinds if name in (kind, _element(kind))))
+        if len(found) > 1:
+            raise ValueError(f"{what} is {short(name)}, the element of {', '.join(found)}; give one of these labels")
+        name = found[0] if found else name
+    return read_choice(name, what, known)
 
 
 def expanded_crystal(

@@ -15,7 +15,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
 from coadjoint.systems.lattices.bonds import Bond, antisymmetric
 from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
-from coadjoint.systems.lattices.crystals import Crystal
+from coadjoint.systems.lattices.crystals import Crystal, label_of
 from coadjoint.systems.lattices.declared_spins import (
     UNITS,
     Anisotropy,
@@ -37,7 +37,7 @@ from coadjoint.systems.lattices.spin_lattice import (
 )
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
-from coadjoint.validation import as_tuples, read_choice, read_finite, read_number, read_positive, set_fields
+from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -294,8 +294,8 @@ class SpinModel(LiePoissonSystem):
         Parameters
         ----------
         site : str or int
-            A label, or the number of a site of the cell, as for ``crystal.site``, whose ``print`` shows the allowed
-            matrices.
+            A label, the element of one label only, or the number of a site of the cell, as for ``crystal.site``, whose
+            ``print`` shows the allowed matrices.
         matrix : (3, 3) array_like
             A, symmetric, in the Cartesian frame of the lattice (energy for spins of length S). An easy axis has a
             negative entry: ``np.diag([0, 0, -D])``.
@@ -413,7 +413,7 @@ class SpinModel(LiePoissonSystem):
         ----------
         fraction : float or mapping
             Removed fraction of all sites, or label -> fraction of its sites, from 0 to less than 1; the number of
-            vacancies is rounded.
+            vacancies is rounded. The element of one label only stands for it.
         seed : int
             Seed of the choice, from 0 to 2^62.
 
@@ -425,8 +425,8 @@ class SpinModel(LiePoissonSystem):
         Raises
         ------
         ValueError, TypeError
-            A fraction out of range, an unknown label, a model that has vacancies or a field for each spin, or no spin
-            that remains.
+            A fraction out of range, an unknown label, one that is given twice, a model that has vacancies or a field
+            for each spin, or no spin that remains.
 
         Examples
         --------
@@ -442,10 +442,14 @@ class SpinModel(LiePoissonSystem):
             raise ValueError(
                 "the model has a field for each spin; remove spins first, then give the field of the others"
             )
-        given = fraction if isinstance(fraction, Mapping) else {None: fraction}
+        given: dict[str | None, Any] = {None: fraction}
+        if isinstance(fraction, Mapping):
+            given = {label_of(self.crystal, label, "label"): value for label, value in fraction.items()}
+            if len(given) < len(fraction):
+                raise ValueError(f"fraction is {short(dict(fraction))}, which has a label and its element; give one")
         generator = np.random.default_rng(read_seed(seed, "seed"))
-        removed = np.concatenate([self._chosen(generator, label, value) for label, value in given.items()])
-        occupied = np.setdiff1d(self._numbers, removed)
+        removed = [self._chosen(generator, label, value) for label, value in given.items()]
+        occupied = np.setdiff1d(self._numbers, np.concatenate([self._numbers[:0], *removed]))
         if not len(occupied):
             raise ValueError(f"fraction is {short(fraction)}, which leaves no spin; give a smaller one")
         return self._with(occupied=occupied)
@@ -460,7 +464,7 @@ class SpinModel(LiePoissonSystem):
         Parameters
         ----------
         label : str
-            Label of the sites.
+            Label of the sites, or the element of one label only.
         fraction : float
             Part of the spins of this label, from 0 to less than 1; their number is rounded.
         seed : int
@@ -487,7 +491,7 @@ class SpinModel(LiePoissonSystem):
         >>> float(alloy.spin.sum())
         136.0
         """
-        length = read_positive(spin, "spin")
+        length, label = read_positive(spin, "spin"), label_of(self.crystal, label, "label")
         numbers = self._chosen(np.random.default_rng(read_seed(seed, "seed")), label, fraction)
         own = float(self._declared.g[self.crystal.labels.index(label)])
         factor = own if g is None else read_number(g, "g")
@@ -497,14 +501,13 @@ class SpinModel(LiePoissonSystem):
         text = f"{len(numbers)} of {label}: S = {length:.6g}, moment {factor * length:.6g} mu_B"
         return self._with(substitutions=(*self._declared.substitutions, Substitution(numbers, length, factor, text)))
 
-    def _chosen(self, generator: np.random.Generator, label: Any, fraction: Any) -> Integers:
+    def _chosen(self, generator: np.random.Generator, label: str | None, fraction: Any) -> Integers:
         """Return the numbers of a random part of the spins of a label, or of all, in order."""
         part, numbers = read_number(fraction, "fraction"), self._numbers
         if not 0.0 <= part < 1.0:
             raise ValueError(f"fraction is {part!r}; give a number from 0 to less than 1")
         if label is not None:
-            known = read_choice(label, "label", dict.fromkeys(self.crystal.labels))
-            numbers = numbers[np.array([one == known for one in self.crystal.labels])[self.sites]]
+            numbers = numbers[np.array([one == label for one in self.crystal.labels])[self.sites]]
         return np.sort(generator.permutation(numbers)[: round(part * len(numbers))])
 
     def with_forces(self, *forces: Force) -> Self:
