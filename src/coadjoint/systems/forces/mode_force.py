@@ -221,7 +221,7 @@ def read_field(value: Any, what: str) -> str:
     if is_integer(value):
         raise ValueError(
             f"{what} is {value}; friction and viscosity act on all layers of a flow: in one alone they would act on "
-            f"the potential vorticity, move the interface and add energy; leave {what}= out"
+            f"the potential vorticity, move the interface and add energy; leave it out"
         )
     return read_choice(value, what, LAYERS)
 
