@@ -1,5 +1,6 @@
 """Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
 
+import itertools
 import re
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -466,12 +467,12 @@ def warnings_of(call):
 
 def test_trial_points_do_not_warn_of_their_inertia(exact):
     """The steps from this guess leave the inertia of bodies; other threads warn, whatever a fit does meanwhile."""
-    in_thread = []
+    in_thread, calls = [], itertools.count()
     with ThreadPoolExecutor(1) as pool:
         pool.submit(int).result()  # the thread starts before the fit
 
         def third(x):
-            if len(in_thread) < 200:
+            if next(calls) % 50 == 0:  # once in each run
                 in_thread.append(pool.submit(co.systems.rigid_body, (1.0, 1.0, 3.0)).result())
             return x[2]
 
@@ -484,7 +485,7 @@ def test_trial_points_do_not_warn_of_their_inertia(exact):
             )
         )  # fmt: skip
     np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-8)
-    assert len(noticed) == len(in_thread) == 200
+    assert len(noticed) == len(in_thread) > 10
 
 
 def test_results_warn_of_their_inertia():
