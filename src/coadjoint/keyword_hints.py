@@ -122,6 +122,18 @@ def _keyword_meant(name: str, known: Sequence[str]) -> str:
     return f"did you mean {near}=?" if near else f"it takes {', '.join(known)}"
 
 
+def not_by_position(function: str, others: Sequence[Any], known: Iterable[str]) -> TypeError:
+    """Return the TypeError for arguments by position beside x0; the first `known` name is the example.
+
+    >>> print(not_by_position("f", [1.0], ["inertia"]))
+    f was given 2 arguments by position, and takes x0 alone; give the others by name, such as inertia=
+    """
+    return TypeError(
+        f"{function} was given {1 + len(others)} arguments by position, and takes x0 alone; give the others by name, "
+        f"such as {next(iter(known), 'attitude0')}="
+    )
+
+
 def unknown_solution_attribute(name: str, known: Sequence[str]) -> AttributeError:
     """Return the AttributeError for an unknown attribute of a solution.
 

@@ -73,8 +73,23 @@ def note_progress(computing: str, part: float | None = None) -> None:
     )
 
 
+_silent: ContextVar[bool] = ContextVar("without_warnings", default=False)
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Context of values that the user did not give: `warn_caller` is silent, in this thread only."""
+    token = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
+
+
 def warn_caller(text: str, category: type[Warning]) -> None:
     """Warn at the line that called the library."""
+    if _silent.get():
+        return
     frame: FrameType | None = sys._getframe()
     level, outermost = 1, 0
     while frame is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.errors import refuse_others
+from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -47,7 +48,8 @@ def function(
     ImportError
         PyTorch is not installed; the extra is ``coadjoint[torch]``.
     TypeError
-        The run has no derivatives, or a tensor is not of float64, or on another device.
+        The run has no derivatives; a tensor is not of float64, or on another device; or the callable is given
+        parameters by position.
     ValueError
         For unknown names and wrong shapes.
     IntegrationError
@@ -73,8 +75,11 @@ def function(
     require_packages("co.torch.function", "torch")
     run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.torch.function")
 
-    def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
+    def solution_of(x0: Any, *others: Any, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.torch.function`."""
+        if others:
+            known = ready.parameters if ready.inputs is None else ready.inputs.indices
+            raise not_by_position("the function of co.torch.function", others, known)
         import torch
 
         values = {name: _double(name, value) for name, value in run.arguments(x0, attitude0, parameters).items()}

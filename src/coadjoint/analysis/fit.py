@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities, atti
 from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
-from coadjoint.long_operations import warn_caller
+from coadjoint.long_operations import warn_caller, without_warnings
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -210,39 +209,44 @@ def fit(
     problem = problem._replace(weights=weights, targets=targets)
     count = len(problem.unknowns)
     first = problem.jacobian(np.zeros(count))
-    _check_determined(first, problem)
-    problem, first = problem.near_attitudes(first)
-    end = problem.minimum(first)
+    _check_determined(first, problem, "at the guess")
+    problem, end = _minimum(problem, first)
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
     if end.status <= 0:
         advice = INVERSES if _are_inverse(ready, x0, unknown, problem, observe) else "give closer guesses"
         raise ValueError(f"the minimum was not found in {end.nfev} evaluations; {advice}")
+    final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
+    squares = float(final @ final)
+    contradicts = _contradicts(squares, freedom)
     J = problem.jacobian(np.zeros(count))
-    _check_determined(J, problem)
+    place = (
+        f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees of "
+        "freedom, and which may be far from the minimum,"
+    )
+    _check_determined(J, problem, place if contradicts else "at the minimum", "give a better guess, or " * contradicts)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
     fitted = problem.run.prepared_at(parameters)
     solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
     if _are_rates(ready, attitude, unknown, problem, observe):
         warn_caller(
             'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
             'them "angular_velocity"',
             UserWarning,
         )
-    elif _contradicts(float(final @ final), freedom):
+    elif contradicts:
         if _are_inverse(ready, x0, unknown, problem, observe):
             warn_caller(INVERSES, UserWarning)
         else:
             warn_caller(
-                f"the residuals contradict sigma: the sum of their squares is {float(final @ final):.4g} for {freedom} "
-                "degrees of freedom, where as many are expected; the errors are larger than sigma, the measured values "
-                "are not those that they are named for, or the model is wrong, and the covariance holds for none of "
-                "these",
+                f"the residuals contradict sigma: the sum of their squares is {squares:.4g} for {freedom} degrees "
+                "of freedom, where as many are expected; the errors are larger than sigma, the measured values are not "
+                "those that they are named for, the model is wrong, or the guess is too far from the minimum, and the "
+                "covariance holds for none of these",
                 UserWarning,
             )
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
@@ -284,13 +288,18 @@ def _are_rates(
     return variance("x", x0) > enough
 
 
+def _minimum(problem: FitProblem, first: Floats | None = None, **limits: Any) -> tuple[FitProblem, Any]:
+    """Minimize from the guess, with the Jacobian `first`, without warnings of trial points."""
+    with without_warnings(), np.errstate(all="ignore"):
+        first = problem.jacobian(np.zeros(len(problem.unknowns))) if first is None else first
+        near, first = problem.near_attitudes(first)
+        return near, near.minimum(first, **limits)
+
+
 def _variance(tried: FitProblem) -> float:
     """Return the mean square of the residuals at the minimum; NaN without a fit."""
     try:
-        with warnings.catch_warnings():  # of trial steps, which the user did not ask for
-            warnings.simplefilter("ignore")
-            near, first = tried.near_attitudes(tried.jacobian(np.zeros(len(tried.unknowns))))
-            end = near.minimum(first, max_nfev=MOST_EVALUATIONS)
+        _, end = _minimum(tried, max_nfev=MOST_EVALUATIONS)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return math.nan
     return 2.0 * float(end.cost) / tried.degrees_of_freedom if tried.degrees_of_freedom > 0 else math.nan
@@ -385,8 +394,8 @@ def _weights(
     return weights
 
 
-def _check_determined(J: Floats, problem: FitProblem) -> None:
-    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
+def _check_determined(J: Floats, problem: FitProblem, place: str, advice: str = "") -> None:
+    """Raise ValueError if the Jacobian at a place has directions without influence on the measurements."""
     from scipy.linalg import qr
 
     unknowns = problem.unknowns
@@ -406,7 +415,8 @@ def _check_determined(J: Floats, problem: FitProblem) -> None:
         omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
         reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
         raise ValueError(
-            f"the measurements do not determine all unknown entries of {names}{reason}; omit, for instance, {omitted}"
+            f"{place} the measurements do not determine all unknown entries of {names}{reason}; {advice}omit, for "
+            f"instance, {omitted}"
         )
 
 

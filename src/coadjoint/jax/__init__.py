@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from coadjoint.errors import refuse_others, unknown_name
+from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -27,9 +28,11 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     """Return an energy H(x, params) of JAX, such as a neural network, as a Hamiltonian at these parameters.
 
     Use it to learn an energy that is no polynomial: runs by `solution` take other ``params=`` and are differentiated by
-    them. (`coadjoint.identify` finds polynomials by linear regression.) Whatever the parameters are, the motion has the
-    Casimirs of the algebra. If the energy is a sum of functions of one linear combination of coordinates each, take
-    `features`, which `Splitting` integrates explicitly.
+    them; data and runs of several trajectories have the shape (times, members, n), times first.
+    (`coadjoint.identify` finds polynomials by linear regression.) Whatever the parameters are, the motion has the
+    Casimirs of the algebra. `GaussLegendre` takes every such energy, `Splitting` only one of commuting coordinates, as
+    a piece of a `SplitHamiltonian`. If the energy is a sum of functions of one linear combination of coordinates each,
+    take `features`, which `Splitting` integrates explicitly.
 
     Parameters
     ----------
@@ -250,12 +253,12 @@ def solution(
     Returns
     -------
     callable
-        A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (k, n) for x0 of shape (n,) and
-        (k, members, n) for (members, n), where matrices have the axes (N, N) in place of n; for a run prepared with an
-        attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
-        and default to these values; with inputs they are the inputs; of an energy of `energy` or `features` they are
-        ``params``. A system with other parameters is prepared in each call, and the last one is cached; other inputs
-        and params need no preparation.
+        A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (times, n) for x0 of shape (n,)
+        and (times, members, n) for (members, n), as the solutions of `integrate`, where matrices have the axes (N, N)
+        in place of n; for a run prepared with an attitude the pair of states and attitudes. The parameters are those of
+        ``ready.parameters``, in their shapes, and default to these values; with inputs they are the inputs; of an
+        energy of `energy` or `features` they are ``params``. A system with other parameters is prepared in each call,
+        and the last one is cached; other inputs and params need no preparation.
 
     Raises
     ------
@@ -264,7 +267,8 @@ def solution(
     TypeError
         The run has no derivatives or is not supported by the backend; a function of a force or Hamiltonian has other
         values where JAX traces it than compiled; or numbers are not of float64, which JAX has with
-        ``jax.config.update("jax_enable_x64", True)``. A step or scheme for a prepared run, or none for a system.
+        ``jax.config.update("jax_enable_x64", True)``. A step or scheme for a prepared run, or none for a system. The
+        callable is given parameters by position.
     ValueError
         For unknown names, wrong shapes, and initial states and attitudes that `PreparedRun.run` refuses.
     IntegrationError
@@ -320,8 +324,11 @@ def solution(
     else:
         compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution"))
 
-    def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
+    def solution_of(x0: Any, *others: Any, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""
+        if others:
+            known = ready.parameters if ready.inputs is None else ready.inputs.indices
+            raise not_by_position("the function of co.jax.solution", others, [NAME] if learned else known)
         if learned and NAME in parameters and not on_xla:
             raise ValueError('params are taken by backend="xla" only; compiled loops have those given to co.jax.energy')
         return compute(x0, attitude0, parameters)

@@ -1,7 +1,9 @@
 """Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
 
+import itertools
 import re
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -453,3 +455,59 @@ def test_quaternions_are_refused_with_the_rotations_to_give():
     ready = co.prepare(co.systems.rigid_body((1.0, 2.0, 2.5)), co.Splitting(), 0.1, attitude=True)
     with refused(ValueError, "(3, 4)", "Rotation.from_quat"):
         co.fit(ready, (0.3, 1.0, 0.2), (0, 0.2), {"attitude": np.ones((3, 4))}, {"x0": True}, sigma={"attitude": 0.1})
+
+
+def warnings_of(call):
+    """The result of a call, and its warnings of bodies that do not exist."""
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        found = call()
+    return found, [one for one in noticed if "no body has" in str(one.message)]
+
+
+def test_trial_points_do_not_warn_of_their_inertia(exact):
+    """The steps from this guess leave the inertia of bodies; other threads warn, whatever a fit does meanwhile."""
+    in_thread, calls = [], itertools.count()
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(int).result()  # the thread starts before the fit
+
+        def third(x):
+            if next(calls) % 50 == 0:  # once in each run
+                in_thread.append(pool.submit(co.systems.rigid_body, (1.0, 1.0, 3.0)).result())
+            return x[2]
+
+        ready, x = body((1.4, 2.0, 3.3)), exact.x[:, 2]
+        measured, sigma = {"attitude": exact.attitude, "third": x}, {"attitude": SIGMA, "third": 1.0}
+        found, noticed = warnings_of(
+            lambda: co.fit(
+                ready, 1.3 * X0, SPAN, measured, {"inertia": (0, 2), "x0": True}, EVERY, sigma=sigma, attitude=A0,
+                observe={"third": third},
+            )
+        )  # fmt: skip
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-8)
+    assert len(noticed) == len(in_thread) > 10
+
+
+def test_results_warn_of_their_inertia():
+    """Of moments (0.3, 2, 2.5), from the guess of a body."""
+    with pytest.warns(UserWarning, match="no body has"):
+        thin = body((0.3, 2.0, 2.5))
+    rates = {"angular_velocity": thin.run(X0, (0, 2), 4).angular_velocity}
+    run = (X0, (0, 2), rates, {"inertia": (0,)}, 4)
+    found, noticed = warnings_of(lambda: co.fit(body((0.55, 2.0, 2.5)), *run, sigma=GYRO))
+    assert found.values["inertia"][0] == pytest.approx(0.3, rel=1e-6) and noticed
+
+
+@pytest.mark.filterwarnings("ignore:inertia:UserWarning")  # of the point reached
+@pytest.mark.parametrize("first", [0.1, 0.5])
+def test_a_fit_that_ends_where_nothing_is_determined_asks_for_a_better_guess(first):
+    """Rates of +1 and -1 by turns are best fitted by a body at rest, where inertia and momentum count alike."""
+    ready, rates = co.prepare(co.systems.rigid_body(INERTIA), SCHEME, 0.1), np.zeros((51, 3))
+    rates[:-1, 0] = (-1.0) ** np.arange(50)
+    start, measured, unknown = np.full(3, first), {"angular_velocity": rates}, {"inertia": (0,), "x0": True}
+    sigma = {"angular_velocity": 0.01}
+    named = ["at the point reached", "5e+05 for 149", "far from the minimum", "a better guess, or omit, for instance"]
+    with refused(ValueError, *named):
+        co.fit(ready, start, (0, 5), measured, unknown, sigma=sigma)
+    with refused(ValueError, "at the guess", "inertia; omit"):
+        co.fit(ready, np.zeros(3), (0, 5), measured, unknown, sigma=sigma)

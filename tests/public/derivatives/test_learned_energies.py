@@ -317,6 +317,7 @@ def test_states_near_equilibrium_and_flows_that_turn_too_far():
 OfTorch = type("Tensor", (), {"__module__": "torch", "__call__": lambda self, x: x})
 SYSTEM = co.systems.rigid_body((1.0, 2.0, 3.0))
 DIRECTIONS = np.eye(2, 3)
+REMEDIES = ["no parts; ", "co.jax.features", "SplitHamiltonian", "GaussLegendre"]
 LEARNED = {
     "params, x": (lambda: co.jax.energy(lambda params, x: x[0], {}), TypeError, ["(x, params)", "this order"]),
     "no function": (lambda: co.jax.energy(3.0, {}), TypeError, ["3.0", "H(x, params)"]),
@@ -345,6 +346,14 @@ LEARNED = {
     "no params": (
         lambda: co.jax.solution(ready(), (0, 1), backend="xla")(np.ones(3), params=1.0), ValueError, ["co.jax.energy"]
     ),
+    "position": (lambda: run_of()(np.ones(3), weights(3)), TypeError, ["2 arguments", "x0 alone", "params="]),
+    "position of a body": (
+        lambda: co.jax.solution(ready(), (0, 1))(np.ones(3), np.ones(3)), TypeError, ["co.jax.solution", "inertia="]
+    ),
+    "parts": (lambda: run_of(method=co.Splitting()), ValueError, REMEDIES),
+    "compiled parts": (lambda: by_splitting(energy(weights(3))), ValueError, REMEDIES),
+    "compiled features": (lambda: by_splitting(features(weights(3))), ValueError, REMEDIES),
+    "parts of a function": (lambda: by_splitting(lambda x: network(x, weights(3))), ValueError, REMEDIES),
     "map shape": (lambda: map_of()(np.ones(2), map_of().init()), ValueError, ["(2,)", "(..., 3)"]),
     "map params": (lambda: map_of()(np.ones(3), map_of(3).init()), ValueError, ["params[0]", "(3, 3)", "(2, 3)"]),
     "grad": (lambda: jax.grad(end_of_integrate)(jnp.ones(3)), TypeError, ["x0", "co.jax.solution"]),
@@ -371,7 +380,11 @@ def ready():
 
 
 def run_of(**options):
-    return co.jax.solution(bound(energy(weights(3))), (0, 1), method=co.GaussLegendre(1), step=0.1, **options)
+    return co.jax.solution(bound(energy(weights(3))), (0, 1), step=0.1, **{"method": co.GaussLegendre(1), **options})
+
+
+def by_splitting(H):
+    return co.integrate(bound(H), np.ones(3), (0, 1), 0.1, co.Splitting())
 
 
 def map_of(depth=2):

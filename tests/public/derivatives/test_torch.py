@@ -97,6 +97,11 @@ def test_wrong_arguments_are_refused(g, x0, values, error, named):
         g(x0, **values)
 
 
+def test_parameters_by_position_are_refused(g):
+    with refused(TypeError, "co.torch.function", "2 arguments", "x0 alone", "inertia="):
+        g(X0, INERTIA)
+
+
 def test_second_derivatives_are_refused(g):
     x0 = variable(X0)
     (gradient,) = torch.autograd.grad(g(x0)[-1, 0], x0, create_graph=True)

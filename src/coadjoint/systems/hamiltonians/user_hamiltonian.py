@@ -56,6 +56,8 @@ class JaxFunction:
     def __call__(self, x: Any, t: float = 0.0) -> npt.NDArray[np.float64]:
         """Return the derivative at x and t; raise TypeError for numbers of another type than float64."""
         y = np.asarray(x)
+        if y.dtype == object:  # of a recorded function
+            raise TracingError("a function of JAX has no parts; Splitting takes co.jax.features, in co.jax.solution")
         if y.dtype != np.float64:
             raise TypeError(f"a function of JAX is given numbers of {y.dtype}; its derivatives are of float64 only")
         result = np.asarray(self.compiled(y, t) if self.timed else self.compiled(y))
