@@ -54,7 +54,7 @@ def spins(
     g : float, mapping or array_like, optional
         g-factor, not zero; 2 by default. See `SpinModel.field` for its sign.
     moments : float, mapping or array_like, optional
-        Moments g S in units of mu_B, in place of `spin` or of `g`: with `spin` they give g, else S by |g|.
+        Moments g S in units of mu_B, in place of `spin` or of `g`: with `spin` they give g, else S by the size of g.
     periodic : bool or tuple of bool
         Whether the lattice is periodic along each lattice vector.
     units : {"natural", "meV"}
