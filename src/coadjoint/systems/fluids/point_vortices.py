@@ -125,16 +125,19 @@ def _interaction(axes: int, count: int) -> tuple[Callable[..., Any], ...]:
     """Return ``-(1/4 pi) sum of c_i c_j log |r_i - r_j|^2`` over pairs, with its derivatives; c are circulations."""
     bodies_of, rate = bodies_of_shares(count), 1.0 / (4.0 * pi)
 
+    def squared_distance(y: Any, i: int, j: int) -> Any:
+        square = 0.0 * y[0]
+        for a in range(axes):
+            d = y[axes * i + a] - y[axes * j + a]
+            square += d * d
+        return square
+
     def value(y: Any, c: Any, share: Any = ALL_SHARES) -> Any:
         begin, step = bodies_of(share)
         total = 0.0 * y[0]
         for i in range(begin, count, step):
             for j in range(i):
-                square = 0.0 * y[0]
-                for a in range(axes):
-                    d = y[axes * i + a] - y[axes * j + a]
-                    square += d * d
-                total -= rate * c[i] * c[j] * np.log(square)
+                total -= rate * c[i] * c[j] * np.log(squared_distance(y, i, j))
         return total
 
     def gradient(y: Any, c: Any, share: Any = ALL_SHARES) -> Any:
@@ -142,11 +145,7 @@ def _interaction(axes: int, count: int) -> tuple[Callable[..., Any], ...]:
         result = 0.0 * y
         for i in range(begin, count, step):
             for j in range(i):
-                square = 0.0 * y[0]
-                for a in range(axes):
-                    d = y[axes * i + a] - y[axes * j + a]
-                    square += d * d
-                factor = -2.0 * rate * c[i] * c[j] / square
+                factor = -2.0 * rate * c[i] * c[j] / squared_distance(y, i, j)
                 for a in range(axes):
                     slope = factor * (y[axes * i + a] - y[axes * j + a])
                     result[axes * i + a] += slope
@@ -157,10 +156,7 @@ def _interaction(axes: int, count: int) -> tuple[Callable[..., Any], ...]:
         result = np.outer(0.0 * y, y)
         for i in range(count):
             for j in range(i):
-                square = 0.0 * y[0]
-                for a in range(axes):
-                    d = y[axes * i + a] - y[axes * j + a]
-                    square += d * d
+                square = squared_distance(y, i, j)
                 factor = -2.0 * rate * c[i] * c[j] / square
                 for a in range(axes):
                     for b in range(axes):
