@@ -68,6 +68,16 @@ CARRY_CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void
 ONE_AT_A_TIME = RLock()
 
 
+class FlowAt(NamedTuple):
+    """A flow of a step: its number, the side of the substep, the member, when it begins and how long, and the state."""
+
+    flow: int
+    side: int
+    member: int
+    when: tuple[float, float]
+    x: Floats
+
+
 class FlowsInPython:
     """Flows of forces differentiated in Python, where the kernels do not."""
 
@@ -86,61 +96,40 @@ class FlowsInPython:
         self, flow: int, side: int, member: int, t: float, tau: float, state: int, count: int, first: int, second: int
     ) -> None:
         note_progress(f"the derivative of a force at t = {t:g}")
-        whole, j = flow < 0, max(flow, -1 - flow)
         n, entries = self._system.dim, len(self._entries)
-        x = numbers_at(state, (n,)).copy()
+        whole, at = flow < 0, FlowAt(max(flow, -1 - flow), side, member, (t, tau), numbers_at(state, (n,)).copy())
         if count < 0:
-            numbers_at(first, (n,))[:] = self._by_entry(member, -1 - count, j, side, (t, tau), x)
+            numbers_at(first, (n,))[:] = self._by_entry(at, -1 - count)
         elif count:
             vectors, directions = numbers_at(first, (count, n)), numbers_at(second, (count, entries))
-            vectors[:] = self._push(member, j, side, (t, tau), whole, x, vectors, directions)
+            vectors[:] = self._push(at, whole, vectors, directions)
         else:
             row = numbers_at(first, (n,))
-            row[:] = self._pull(member, j, side, (t, tau), whole, x, row.copy(), numbers_at(second, (entries,)))
+            row[:] = self._pull(at, whole, row.copy(), numbers_at(second, (entries,)))
 
-    def _push(
-        self,
-        member: int,
-        j: int,
-        side: int,
-        when: tuple[float, float],
-        whole: bool,
-        x: Floats,
-        vectors: Floats,
-        directions: Floats,
-    ) -> Floats:
-        system, entries = self._member(member)
-        force = on_side(system.flows[j][1], side)
+    def _push(self, at: FlowAt, whole: bool, vectors: Floats, directions: Floats) -> Floats:
+        system, entries = self._member(at.member)
         if whole:
-            vectors = flow_of_force(force, system.unforced, x, *when, self._order).tangents(vectors)
+            force = on_side(system.flows[at.flow][1], at.side)
+            vectors = flow_of_force(force, system.unforced, at.x, *at.when, self._order).tangents(vectors)
         wanted = np.flatnonzero(directions.any(axis=0)).tolist()
-        for number, change in self._changes(entries, wanted, j, side, when, x):
+        for number, change in self._changes(at, entries, wanted):
             vectors = vectors + directions[:, number, None] * change
         return vectors
 
-    def _pull(
-        self,
-        member: int,
-        j: int,
-        side: int,
-        when: tuple[float, float],
-        whole: bool,
-        x: Floats,
-        row: Floats,
-        by_entries: Floats,
-    ) -> Floats:
-        system, entries = self._member(member)
-        force = on_side(system.flows[j][1], side)
-        steps = self._orbit_steps(system, entries, force, j, x, when) if whole else ()
+    def _pull(self, at: FlowAt, whole: bool, row: Floats, by_entries: Floats) -> Floats:
+        system, entries = self._member(at.member)
+        force = on_side(system.flows[at.flow][1], at.side)
+        steps = self._orbit_steps(at, system, entries, force) if whole else ()
         if steps:
-            row, found = pull_through(steps, force.scalings(), row, *_parameters(entries, j))
+            row, found = pull_through(steps, force.scalings(), row, *_parameters(entries, at.flow))
             for number, entry in enumerate(entries):
-                if j in entry.flows:
+                if at.flow in entry.flows:
                     by_entries[number] += found[entry.name][entry.entry]
             return row
-        for number, change in self._changes(entries, range(len(entries)), j, side, when, x):
+        for number, change in self._changes(at, entries, range(len(entries))):
             by_entries[number] += change @ row
-        return flow_of_force(force, system.unforced, x, *when, self._order).cotangent(row) if whole else row
+        return flow_of_force(force, system.unforced, at.x, *at.when, self._order).cotangent(row) if whole else row
 
     def _member(self, member: int) -> tuple[System, list[FlowEntry]]:
         """Return the system with the noise of a member, and the entries with those of it."""
@@ -150,38 +139,28 @@ class FlowsInPython:
             self._members[member] = numbered(self._system), entries
         return self._members[member]
 
-    def _orbit_steps(
-        self, system: Any, entries: Sequence[FlowEntry], force: Any, j: int, x: Floats, when: Any
-    ) -> Sequence[Any]:
-        """Return the flow j by sparse products, if there is a formula for it and for all parameters."""
+    def _orbit_steps(self, at: FlowAt, system: Any, entries: Sequence[FlowEntry], force: Any) -> Sequence[Any]:
+        """Return the flow by sparse products, if there is a formula for it and for all parameters."""
         known = force.scalings()
-        if not all(field in known for field in _parameters(entries, j)[0].values()):
+        if not all(field in known for field in _parameters(entries, at.flow)[0].values()):
             return ()
-        return force.orbit_steps(system.unforced, x, *when)  # type: ignore[no-any-return]
+        return force.orbit_steps(system.unforced, at.x, *at.when)  # type: ignore[no-any-return]
 
-    def _by_entry(self, member: int, number: int, j: int, side: int, when: tuple[float, float], x: Floats) -> Floats:
-        """Return the derivative of the flow j by an entry."""
-        entries = self._member(member)[1]
-        (change,) = differences([entries[number].nearby], partial(self._after, j, side, when, x))
+    def _by_entry(self, at: FlowAt, number: int) -> Floats:
+        """Return the derivative of the flow by an entry."""
+        entries = self._member(at.member)[1]
+        (change,) = differences([entries[number].nearby], partial(self._after, at))
         return change
 
-    def _changes(
-        self,
-        entries: Sequence[FlowEntry],
-        wanted: Sequence[int],
-        j: int,
-        side: int,
-        when: tuple[float, float],
-        x: Floats,
-    ) -> list[tuple[int, Floats]]:
-        """Return the derivatives of the flow j by the wanted entries, if it depends on them, with their numbers."""
-        numbers = [n for n in wanted if j in entries[n].flows]
-        after = partial(self._after, j, side, when, x)
-        return list(zip(numbers, differences([entries[n].nearby for n in numbers], after), strict=True))
+    def _changes(self, at: FlowAt, entries: Sequence[FlowEntry], wanted: Sequence[int]) -> list[tuple[int, Floats]]:
+        """Return the derivatives of the flow by the wanted entries, if it depends on them, with their numbers."""
+        numbers = [n for n in wanted if at.flow in entries[n].flows]
+        changes = differences([entries[n].nearby for n in numbers], partial(self._after, at))
+        return list(zip(numbers, changes, strict=True))
 
-    def _after(self, j: int, side: int, when: tuple[float, float], x: Floats, system: System) -> Floats:
-        force = on_side(system.flows[j][1], side)
-        return np.asarray(force.flow_of_order(system.unforced, x, *when, self._order), dtype=np.float64)
+    def _after(self, at: FlowAt, system: System) -> Floats:
+        force = on_side(system.flows[at.flow][1], at.side)
+        return np.asarray(force.flow_of_order(system.unforced, at.x, *at.when, self._order), dtype=np.float64)
 
 
 def _parameters(entries: Sequence[FlowEntry], j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
