@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.matrix.forces import force_on
+from matrix.forces import force_on
 
 import coadjoint as co
 
