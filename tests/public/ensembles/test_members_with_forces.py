@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matrix.forces import force_on
 
 import coadjoint as co
+from matrix.forces import force_on
 
 F = co.forces
 T0, STEP, STEPS = 0.3125, 0.0625, 6  # exact, also in runs that are resumed
