@@ -256,13 +256,18 @@ SHOWN = (
     Shown(
         "fluid_modes",
         "Fluid: Zeitlin's model",
-        "An ideal fluid on a torus, by eight Fourier modes. It keeps the energy and two invariants of the vorticity, "
-        "of which the map shows two periods. The first wave is unstable on a torus that is higher than wide.",
+        "A fluid on a torus, by eight Fourier modes: with gamma, quasi-geostrophic with a radius of deformation of "
+        "1/sqrt(gamma). It keeps the energy and two invariants of the potential vorticity, of which the map shows two "
+        "periods. The first wave is unstable on a torus that is higher than wide.",
         f"""co.LiePoissonSystem(
     co.LieAlgebra({_wrapped(zeitlin_brackets())}, dim=8),
-    co.Quadratic([0.5, 0.5, *[0.5 / ({{a}} * {{a}})] * 2, *[0.5 / (1.0 + {{a}} * {{a}})] * 4]),
+    co.Quadratic([*[0.5 / (1.0 + {{g}})] * 2, *[0.5 / ({{a}} * {{a}} + {{g}})] * 2,
+        *[0.5 / (1.0 + {{a}} * {{a}} + {{g}})] * 4]),
 )""",
-        (Slider("a", "width by height", 0.5, 1.5, 0.8, 0.05),),
+        (
+            Slider("a", "width by height", 0.5, 1.5, 0.8, 0.05),
+            Slider("g", "deformation γ", 0.0, 1.0, 0.0, 0.05),
+        ),
         (1.0, 0.0, 0.05, 0.1, 0.1, -0.05, 0.02, 0.08),
         tuple(f"{name}{k + 1}" for k in range(len(WAVES)) for name in ("cos", "sin")),
         {"kind": "path", "axes": [0, 2, 4], "labels": ["cos₁", "cos₂", "cos₃"], "body": "vorticity", "waves": WAVES},

@@ -89,17 +89,19 @@ def test_flows_of_a_typed_algebra_are_those_of_its_splitting():
         assert np.array_equal(rows["tau"], program["coefficient"])
 
 
-def test_the_fluid_of_modes_is_that_of_matrices():
+@pytest.mark.parametrize("gamma", [0.0, 0.75])
+def test_the_fluid_of_modes_is_that_of_matrices(gamma):
     (shown,) = (shown for shown in SHOWN if shown.name == "fluid_modes")
-    modes, matrices = shown.build({"a": 1.0}), co.systems.torus_euler(N=3)
+    modes, matrices = shown.build({"a": 1.0, "g": gamma}), co.systems.torus_qg(N=3, gamma=gamma)
     unit = 3 * np.sqrt(3) / (4 * np.pi)  # of vorticity, in which the brackets are +-1
     x = np.random.default_rng(0).normal(size=8)
     slope = np.zeros(8)
-    state = {wave: (x[2 * k] - 1j * x[2 * k + 1]) / (2 * unit) for k, wave in enumerate(WAVES)}
+    relative = [unit * (1.0 + gamma / (a * a + b * b)) for a, b in WAVES]  # of the relative vorticity, of which modes are
+    state = {wave: (x[2 * k] - 1j * x[2 * k + 1]) / (2 * relative[k]) for k, wave in enumerate(WAVES)}
     found = matrices.modes(matrices.vector_field(matrices.from_modes(state)))
     for k, (a, b) in enumerate(WAVES):
         w = found[a, b] if (a, b) in found else np.conj(found[-a, -b])
-        slope[2 * k : 2 * k + 2] = 2 * unit * w.real, -2 * unit * w.imag
+        slope[2 * k : 2 * k + 2] = 2 * relative[k] * w.real, -2 * relative[k] * w.imag
     assert np.allclose(modes.vector_field(x), slope, rtol=0, atol=1e-13)
     assert list(modes.casimirs) == ["C2", "C3"]
 
