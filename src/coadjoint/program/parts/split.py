@@ -19,6 +19,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.commutation import few_parts, first_noncommuting, has_noncommuting, noncommuting
 from coadjoint.program.generators import NotSplittable, check_products
 from coadjoint.program.parts.part import GradientShare, Parts
+from coadjoint.program.parts.powers_of_forms import MAX_DEGREE, parts_of_powers
 from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
 from coadjoint.program.separated_parts import joined_if_cancelling
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows, order_by, run_starts, starts_of
@@ -350,11 +351,13 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate
             (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
             assert form is not None
             atoms.append(quadratic_atoms(form, system.algebra, separate))
-        for exponents in (e for e in terms if sum(e) > 2):
-            _check_monomial(system, exponents, terms[exponents])
-            atoms.append(
-                Parts.single(GradientShare(tuple(variables[exponents]), Polynomial({exponents: terms[exponents]})))
-            )
+        high = {e: c for e, c in terms.items() if sum(e) > 2}
+        if any(first_noncommuting(system.algebra, variables[e]) is not None for e in high):
+            for e, c in high.items():
+                _check_monomial(system, e, c)
+            atoms += parts_of_powers(system.algebra, high, size)
+            continue
+        atoms += [Parts.single(GradientShare(tuple(variables[e]), Polynomial({e: c}))) for e, c in high.items()]
     return Parts.concatenate(atoms)
 
 
@@ -414,6 +417,8 @@ def check_splits(system: LiePoissonSystem) -> None:
 
 
 def _check_monomial(system: LiePoissonSystem, exponents: tuple[int, ...], coefficient: Any) -> None:
+    if sum(exponents) <= MAX_DEGREE:
+        return  # it is a sum of powers of forms
     noncommuting = first_noncommuting(system.algebra, [k for k, power in enumerate(exponents) if power])
     if noncommuting is not None:
         shown = short(in_coordinates_of(system, Polynomial({exponents: coefficient})))
