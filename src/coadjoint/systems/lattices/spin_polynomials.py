@@ -1,0 +1,199 @@
+"""Energies of spins of degree four and six: biquadratic couplings of bonds and Stevens functions of sites."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from itertools import product as products
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
+from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, Site
+from coadjoint.validation import read_number
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+SitePolynomial = dict[tuple[int, int, int], float]
+"""Coefficients of the monomials of a direction (x, y, z)."""
+
+STEVENS: Mapping[tuple[int, int], tuple[int, ...]] = {
+    (2, 0): (3, 0, -1),
+    (2, 1): (1, 0),
+    (2, 2): (1,),
+    (4, 0): (35, 0, -30, 0, 3),
+    (4, 1): (7, 0, -3, 0),
+    (4, 2): (7, 0, -1),
+    (4, 3): (1, 0),
+    (4, 4): (1,),
+    (6, 0): (231, 0, -315, 0, 105, 0, -5),
+    (6, 1): (33, 0, -30, 0, 5, 0),
+    (6, 2): (33, 0, -18, 0, 1),
+    (6, 3): (11, 0, -3, 0),
+    (6, 4): (11, 0, -1),
+    (6, 5): (1, 0),
+    (6, 6): (1,),
+}
+"""(l, m) -> coefficients of P(z), the highest power first, of the Stevens functions P(z) Re (x + iy)^m for m >= 0 and
+P(z) Im (x + iy)^-m of a direction.
+"""
+NAMES = tuple(f"B{degree}{m}" for degree in (2, 4, 6) for m in range(-degree, degree + 1))
+BYTES_PER_EXPONENT = 40  # of a monomial with an exponent for each coordinate, at the peak
+
+
+def stevens(degree: int, m: int) -> SitePolynomial:
+    """Return the Stevens function of a degree and a number m of either sign as a polynomial of a direction."""
+    found: SitePolynomial = {}
+    n, of_z = abs(m), STEVENS[degree, abs(m)]
+    for k in range(n + 1):  # x^(n - k) (iy)^k
+        if k % 2 == (m < 0):
+            factor = math.comb(n, k) * (-1) ** (k // 2)
+            for power, c in enumerate(reversed(of_z)):
+                if c:
+                    found[n - k, k, power] = float(factor * c)
+    return found
+
+
+def read_stevens(coefficients: Mapping[Any, Any], length: float) -> tuple[Floats, dict[int, SitePolynomial]]:
+    """Return the matrix of degree two and polynomials by higher degree, of directions of a spin of a length."""
+    matrix, total = np.zeros((3, 3)), dict[int, SitePolynomial]()
+    if not coefficients:
+        raise ValueError("the Stevens coefficients are empty; give some, such as {'B20': 0.1, 'B43': -0.02}")
+    for name, given in coefficients.items():
+        found = re.fullmatch(r"B([246])(-?[0-6])", name) if isinstance(name, str) else None
+        if found is None or abs(m := int(found[2])) > (degree := int(found[1])) or name not in NAMES:
+            raise ValueError(f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6")
+        value = read_number(given, f"the coefficient {name}")
+        m, factor = int(found[2]), value * length**degree
+        polynomial = stevens(degree, m)
+        if degree == 2:
+            matrix += factor * _quadratic(polynomial)
+        else:
+            own = total.setdefault(degree, {})
+            for exponents, c in polynomial.items():
+                own[exponents] = own.get(exponents, 0.0) + factor * c
+    return matrix, total
+
+
+def _quadratic(polynomial: SitePolynomial) -> Floats:
+    """Return the matrix A of n . A n, of a polynomial of degree two; its constant is a multiple of n^2."""
+    matrix = np.zeros((3, 3))
+    for exponents, c in polynomial.items():
+        axes = [axis for axis, e in enumerate(exponents) for _ in range(e)]
+        if axes:
+            matrix[axes[0], axes[1]] += 0.5 * c
+            matrix[axes[1], axes[0]] += 0.5 * c
+        else:
+            matrix += c * np.eye(3)
+    return matrix
+
+
+def propagated(site: Site, polynomial: SitePolynomial) -> list[SitePolynomial]:
+    """Return the polynomials of all equivalent sites; ValueError if symmetry does not allow the given one."""
+    points = _directions()
+    here = _values(polynomial, points)
+    mean = np.mean([_values(polynomial, points @ turn) for turn in site._kept], axis=0)
+    if np.abs(here - mean).max() > MATRIX_TOLERANCE * np.abs(here).max():
+        raise ValueError(
+            f"the Stevens coefficients are not allowed by symmetry on site {site.label} {site.number}, in whose frame, "
+            f"the Cartesian one of the lattice, it allows {_allowed(site)}; give these"
+        )
+    return [_turned(polynomial, turn) for turn in site._rotations]
+
+
+def _directions() -> Floats:
+    """Return directions that tell functions of degree six apart."""
+    turns, heights = np.meshgrid(2.0 * np.pi * np.arange(13) / 13.0, np.linspace(-0.93, 0.95, 9))
+    radii = np.sqrt(1.0 - heights**2)
+    return np.stack([radii * np.cos(turns), radii * np.sin(turns), heights], axis=-1).reshape(-1, 3)
+
+
+def _values(polynomial: SitePolynomial, points: Floats) -> Floats:
+    return np.asarray(sum(c * np.prod(points ** np.array(e), axis=1) for e, c in polynomial.items()))
+
+
+def _allowed(site: Site) -> str:
+    """Return the combinations of Stevens functions of each degree that symmetry allows, as text."""
+    points, found = _directions(), []
+    for degree in (2, 4, 6):
+        functions = [stevens(degree, m) for m in range(-degree, degree + 1)]
+        own = np.stack([_values(one, points) for one in functions], axis=1)
+        turned = np.mean([[_values(one, points @ turn) for one in functions] for turn in site._kept], axis=0)
+        projection = np.linalg.lstsq(own, turned.T, rcond=None)[0]
+        for k, m in enumerate(range(-degree, degree + 1)):
+            if np.abs(projection[k]).max() > 1e-9:
+                tied = [j for j in range(2 * degree + 1) if j != k and abs(projection[j, k]) > 1e-9]
+                found.append(f"B{degree}{m}" + " (with others)" * bool(tied))
+    return ", ".join(found) or "none"
+
+
+def _turned(polynomial: SitePolynomial, turn: Floats) -> SitePolynomial:
+    """Return the polynomial p(R^T n)."""
+    rows = turn.T.tolist()
+    total: SitePolynomial = {}
+    for exponents, c in polynomial.items():
+        factors: list[SitePolynomial] = [_power(rows[axis], e) for axis, e in enumerate(exponents)]
+        for chosen in products(*(factor.items() for factor in factors)):
+            key = tuple(sum(e[axis] for e, _ in chosen) for axis in range(3))
+            value = c * math.prod(v for _, v in chosen)
+            total[key] = total.get(key, 0.0) + value  # type: ignore[index]
+    size = max(map(abs, total.values()))
+    return {key: value for key, value in total.items() if abs(value) > 1e-14 * size}  # type: ignore[misc]
+
+
+def _power(row: Sequence[float], exponent: int) -> SitePolynomial:
+    """Return a power of a linear form."""
+    found: SitePolynomial = {}
+    for a in range(exponent + 1):
+        for b in range(exponent + 1 - a):
+            factor = math.comb(exponent, a) * math.comb(exponent - a, b)
+            value = factor * row[0] ** a * row[1] ** b * row[2] ** (exponent - a - b)
+            if value:
+                found[a, b, exponent - a - b] = float(value)
+    return found
+
+
+class SpinPolynomial(PolynomialHamiltonian):
+    """A polynomial of spins that stays a summand of its own beside the couplings, which are a quadratic form."""
+
+    place_in_sum = None
+    has_linear = False
+
+
+def polynomial_of_spins(
+    count: int,
+    edges: Integers,
+    strengths: Floats,
+    on_sites: Sequence[tuple[Integers, Floats, SitePolynomial]],
+) -> SpinPolynomial:
+    """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
+    n = 3 * count
+    number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
+    check_available_memory(
+        BYTES_PER_EXPONENT * n * number, f"{number} monomials of {count} spins", "take fewer cells"
+    )
+    total: dict[tuple[int, ...], float] = {}
+
+    def add(factors: Sequence[tuple[int, int]], value: float) -> None:
+        exponents = [0] * n
+        for k, e in factors:
+            exponents[k] = e
+        key = tuple(exponents)
+        total[key] = total.get(key, 0.0) + value
+
+    for (i, j), strength in zip(edges.tolist(), strengths.tolist(), strict=True):
+        for a in range(3):
+            add([(3 * i + a, 2), (3 * j + a, 2)], strength)
+            for b in range(a + 1, 3):
+                add([(3 * i + a, 1), (3 * i + b, 1), (3 * j + a, 1), (3 * j + b, 1)], 2.0 * strength)
+    for sites, scales, polynomial in on_sites:
+        for site, scale in zip(sites.tolist(), scales.tolist(), strict=True):
+            for exponents, c in polynomial.items():
+                add([(3 * site + axis, e) for axis, e in enumerate(exponents) if e], scale * c)
+    return SpinPolynomial(Polynomial._from_valid(total, n))
