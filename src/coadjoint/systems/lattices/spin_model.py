@@ -332,8 +332,8 @@ class SpinModel(LiePoissonSystem):
     def biquadratic(self, bond: Bond, K: float) -> Self:
         """Return the model with the energy ``K (S_i . S_j)^2`` of a bond and all equivalent ones.
 
-        It is that of classical spins of the lengths S. Sunny's ``biquad`` of `:dipole_uncorrected` is this K; with its
-        renormalization, or in operators of quantum spins, ``(S_i . S_j)^2`` also contains ``-S_i . S_j / 2``.
+        It is that of classical spins of the lengths S, as of Sunny's mode `:dipole_uncorrected`. In operators of
+        quantum spins, and in its mode `:dipole`, K is ``K (1 - 1/(2 S))^2 (S_i . S_j)^2 - K S_i . S_j / 2``.
 
         Parameters
         ----------
@@ -404,8 +404,8 @@ class SpinModel(LiePoissonSystem):
 
         References
         ----------
-        K. W. H. Stevens, Proc. Phys. Soc. A 65, 209 (1952); C. Rudowicz, C. Y. Chung, J. Phys.: Condens. Matter 16, 5825
-        (2004), all functions; D. Dahlbom et al., arXiv:2304.03874, the factors.
+        K. W. H. Stevens, Proc. Phys. Soc. A 65, 209 (1952); C. Rudowicz, C. Y. Chung, J. Phys.: Condens. Matter 16,
+        5825 (2004), all functions; D. Dahlbom et al., arXiv:2304.03874, the factors.
 
         Examples
         --------
@@ -427,13 +427,18 @@ class SpinModel(LiePoissonSystem):
         if isinstance(matrix, Mapping):
             named = dict(matrix)
             matrix, by_degree = read_stevens(named, float(lengths[0]))
-            check_sizes(np.array([c for terms in by_degree.values() for c in terms.values()]), "the Stevens coefficients")
+            check_sizes(
+                np.array([c for terms in by_degree.values() for c in terms.values()]), "the Stevens coefficients"
+            )
             polynomials = tuple(
                 (int(number), degree, polynomial)
                 for degree, terms in by_degree.items()
                 for number, polynomial in zip(chosen.sites, propagated(chosen, terms), strict=True)
             )
-            matrices, text = chosen.single_ion(matrix), ", ".join(f"{name} = {value!r}" for name, value in named.items())
+            matrices, text = (
+                chosen.single_ion(matrix),
+                ", ".join(f"{name} = {value!r}" for name, value in named.items()),
+            )
         else:
             matrices, polynomials = chosen.single_ion(matrix) * (lengths**2)[:, None, None], ()
             text = f"A = {np.asarray(matrix).tolist()}"

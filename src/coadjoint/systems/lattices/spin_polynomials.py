@@ -68,7 +68,9 @@ def read_stevens(coefficients: Mapping[Any, Any], length: float) -> tuple[Floats
     for name, given in coefficients.items():
         found = re.fullmatch(r"B([246])(-?[0-6])", name) if isinstance(name, str) else None
         if found is None or abs(m := int(found[2])) > (degree := int(found[1])) or name not in NAMES:
-            raise ValueError(f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6")
+            raise ValueError(
+                f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6"
+            )
         value = read_number(given, f"the coefficient {name}")
         m, factor = int(found[2]), value * length**degree
         polynomial = stevens(degree, m)
@@ -175,9 +177,7 @@ def polynomial_of_spins(
     """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
     n = 3 * count
     number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
-    check_available_memory(
-        BYTES_PER_EXPONENT * n * number, f"{number} monomials of {count} spins", "take fewer cells"
-    )
+    check_available_memory(BYTES_PER_EXPONENT * n * number, f"{number} monomials of {count} spins", "take fewer cells")
     total: dict[tuple[int, ...], float] = {}
 
     def add(factors: Sequence[tuple[int, int]], value: float) -> None:
