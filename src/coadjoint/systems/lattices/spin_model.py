@@ -14,6 +14,7 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
+from coadjoint.systems.hamiltonians.summable import SeparatePolynomial
 from coadjoint.systems.lattices.bonds import Bond, antisymmetric
 from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
 from coadjoint.systems.lattices.crystals import Crystal, label_of
@@ -38,12 +39,7 @@ from coadjoint.systems.lattices.spin_lattice import (
     precession,
     total_spins,
 )
-from coadjoint.systems.lattices.spin_polynomials import (
-    SpinPolynomial,
-    polynomial_of_spins,
-    propagated,
-    read_stevens,
-)
+from coadjoint.systems.lattices.spin_polynomials import polynomial_of_spins, propagated, read_stevens
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
@@ -160,7 +156,7 @@ class SpinModel(LiePoissonSystem):
         field = moments[:, None] * field
         return edges, blocks, field[0] if len(field) == 1 else field, None
 
-    def _polynomial(self, count: int) -> SpinPolynomial:
+    def _polynomial(self, count: int) -> SeparatePolynomial:
         """Return the terms of degree four and six."""
         declared = self._declared
         sites = len(declared.crystal.labels) * math.prod(declared.size)

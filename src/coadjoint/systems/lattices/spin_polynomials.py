@@ -14,7 +14,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.summable import SeparatePolynomial
 from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, Site
 from coadjoint.validation import read_number
 
@@ -161,19 +161,12 @@ def _power(row: Sequence[float], exponent: int) -> SitePolynomial:
     return found
 
 
-class SpinPolynomial(PolynomialHamiltonian):
-    """A polynomial of spins that stays a summand of its own beside the couplings, which are a quadratic form."""
-
-    place_in_sum = None
-    has_linear = False
-
-
 def polynomial_of_spins(
     count: int,
     edges: Integers,
     strengths: Floats,
     on_sites: Sequence[tuple[Integers, Floats, SitePolynomial]],
-) -> SpinPolynomial:
+) -> SeparatePolynomial:
     """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
     n = 3 * count
     number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
@@ -196,4 +189,4 @@ def polynomial_of_spins(
         for site, scale in zip(sites.tolist(), scales.tolist(), strict=True):
             for exponents, c in polynomial.items():
                 add([(3 * site + axis, e) for axis, e in enumerate(exponents) if e], scale * c)
-    return SpinPolynomial(Polynomial._from_valid(total, n))
+    return SeparatePolynomial(Polynomial._from_valid(total, n))
