@@ -14,7 +14,6 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
-from coadjoint.systems.hamiltonians.summable import SeparatePolynomial
 from coadjoint.systems.lattices.bonds import Bond, antisymmetric
 from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
 from coadjoint.systems.lattices.crystals import Crystal, label_of
@@ -156,7 +155,7 @@ class SpinModel(LiePoissonSystem):
         field = moments[:, None] * field
         return edges, blocks, field[0] if len(field) == 1 else field, None
 
-    def _polynomial(self, count: int) -> SeparatePolynomial:
+    def _polynomial(self, count: int) -> Any:
         """Return the terms of degree four and six."""
         declared = self._declared
         sites = len(declared.crystal.labels) * math.prod(declared.size)

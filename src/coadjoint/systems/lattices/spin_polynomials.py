@@ -14,6 +14,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import SeparatePolynomial
 from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, Site
 from coadjoint.validation import read_number
@@ -166,7 +167,7 @@ def polynomial_of_spins(
     edges: Integers,
     strengths: Floats,
     on_sites: Sequence[tuple[Integers, Floats, SitePolynomial]],
-) -> SeparatePolynomial:
+) -> Any:
     """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
     n = 3 * count
     number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
@@ -189,4 +190,6 @@ def polynomial_of_spins(
         for site, scale in zip(sites.tolist(), scales.tolist(), strict=True):
             for exponents, c in polynomial.items():
                 add([(3 * site + axis, e) for axis, e in enumerate(exponents) if e], scale * c)
-    return SeparatePolynomial(Polynomial._from_valid(total, n))
+    low = {exponents: c for exponents, c in total.items() if sum(exponents) <= 2}  # of Stevens functions with r = 1
+    high = SeparatePolynomial(Polynomial._from_valid({e: c for e, c in total.items() if e not in low}, n))
+    return Quadratic.from_polynomial(Polynomial._from_valid(low, n)) + high if low else high
