@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
@@ -40,11 +39,11 @@ class SpinMonomials:
     @classmethod
     def of(cls, polynomial: Polynomial, sites: int) -> SpinMonomials:
         """Return the monomials of a polynomial."""
-        listed = [factors_of(exponents) for exponents in polynomial.monomials]
+        listed = [[k for k, e in factors.items() for _ in range(e)] for _, _, factors in polynomial._factors]
         factors = np.full((len(listed), polynomial.degree), 3 * sites)
         for row, one in zip(factors, listed, strict=True):
             row[: len(one)] = one
-        return cls(np.array([float(c) for c in polynomial.monomials.values()]), factors, sites)
+        return cls(np.array([float(c) for _, c, _ in polynomial._factors]), factors, sites)
 
     def take(self, chosen: Any) -> SpinMonomials:
         return replace(self, coefficients=self.coefficients[chosen], factors=self.factors[chosen])

@@ -14,8 +14,7 @@ import numpy as np
 from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import connected
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.monomials import Exponents
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import SparseKey, SparseMonomials, SparsePolynomial
 from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -29,16 +28,15 @@ Powers = tuple[tuple[Form, int], ...]
 """Powers of forms that commute with each other."""
 
 
-def parts_of_powers(algebra: LieAlgebra, monomials: Mapping[Exponents, Any], dim: int) -> list[Parts]:
+def parts_of_powers(algebra: LieAlgebra, monomials: Mapping[SparseKey, Any], dim: int) -> list[Parts]:
     """Return parts that add up to the monomials, each of powers of forms that commute."""
     start, neighbours = (column.tolist() for column in algebra.neighbours())
     first, second, *_ = algebra.triples
     ideal = connected(algebra.dim, first, second)  # by the smallest coordinate of each
     total: dict[Powers, Fraction] = {}
     size: dict[Powers, Fraction] = {}
-    for exponents, coefficient in monomials.items():
-        powers = {k: e for k, e in enumerate(exponents) if e}
-        for key, factor in _powers_of_monomial(powers, start, neighbours).items():
+    for monomial, coefficient in monomials.items():
+        for key, factor in _powers_of_monomial(dict(monomial), start, neighbours).items():
             summand = factor * Fraction(exact_number(coefficient))
             total[key] = total.get(key, Fraction(0)) + summand
             size[key] = size.get(key, Fraction(0)) + abs(summand)
@@ -119,17 +117,11 @@ def _part(terms: Sequence[tuple[Powers, Any]], dim: int) -> Parts:
     row_of = {pivot: [(k, c / scale) for k, c in form] for form, (pivot, scale) in forms.items()}
     rest = sorted({k for form in forms for k, _ in form} - row_of.keys())
     coordinates = [*rest, *sorted(row_of)]  # a part begins and ends with a form
-    total: dict[tuple[tuple[int, int], ...], Any] = {}
+    total: SparseMonomials = {}
     for powers, value in terms:
         for monomial in product(*(_expanded(form, degree) for form, degree in powers)):
             key = tuple(sorted(entry for entries, _ in monomial for entry in entries))
             total[key] = total.get(key, 0) + value * math.prod(factor for _, factor in monomial)
-    exponents = {}
-    for key, value in total.items():
-        full = [0] * dim
-        for k, e in key:
-            full[k] = e
-        exponents[tuple(full)] = value
     rows = [row_of.get(k, []) for k in coordinates]
     count, ends = len(coordinates), np.array([0, 1])
     return Parts(
@@ -137,14 +129,14 @@ def _part(terms: Sequence[tuple[Powers, Any]], dim: int) -> Parts:
         np.zeros(count),
         SparseRows.empty(count),
         count * ends,
-        {0: GradientShare(tuple(coordinates), Polynomial(exponents, dim=dim))},
+        {0: GradientShare(tuple(coordinates), SparsePolynomial(total, dim))},
         ends,
         np.zeros(1, dtype=bool),
     )
 
 
 @lru_cache(maxsize=4096)
-def _expanded(form: Form, degree: int) -> tuple[tuple[tuple[tuple[int, int], ...], int], ...]:
+def _expanded(form: Form, degree: int) -> tuple[tuple[SparseKey, int], ...]:
     """Return the monomials, coordinates with exponents, of a power of a form, with their whole coefficients."""
     found = []
     for exponents in product(range(degree + 1), repeat=len(form)):

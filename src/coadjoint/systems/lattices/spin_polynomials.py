@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import SparseKey, SparseMonomials, SparsePolynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -45,7 +45,7 @@ STEVENS: Mapping[tuple[int, int], tuple[int, ...]] = {
 P(z) Im (x + iy)^-m of a direction.
 """
 NAMES = tuple(f"B{degree}{m}" for degree in (2, 4, 6) for m in range(-degree, degree + 1))
-BYTES_PER_EXPONENT = 40  # of a monomial with an exponent for each coordinate, at the peak
+BYTES_PER_MONOMIAL = 2000  # at the peak of a decomposition, measured
 
 
 def stevens(degree: int, m: int) -> SitePolynomial:
@@ -169,27 +169,22 @@ def polynomial_of_spins(
     on_sites: Sequence[tuple[Integers, Floats, SitePolynomial]],
 ) -> Any:
     """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
-    n = 3 * count
     number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
-    check_available_memory(BYTES_PER_EXPONENT * n * number, f"{number} monomials of {count} spins", "take fewer cells")
-    total: dict[tuple[int, ...], float] = {}
+    check_available_memory(BYTES_PER_MONOMIAL * number, f"{number} monomials of {count} spins", "take fewer cells")
+    total: SparseMonomials = {}
 
-    def add(factors: Sequence[tuple[int, int]], value: float) -> None:
-        exponents = [0] * n
-        for k, e in factors:
-            exponents[k] = e
-        key = tuple(exponents)
+    def add(key: SparseKey, value: float) -> None:
         total[key] = total.get(key, 0.0) + value
 
-    for (i, j), strength in zip(edges.tolist(), strengths.tolist(), strict=True):
+    for (i, j), strength in zip(np.sort(edges, axis=1).tolist(), strengths.tolist(), strict=True):
         for a in range(3):
-            add([(3 * i + a, 2), (3 * j + a, 2)], strength)
+            add(((3 * i + a, 2), (3 * j + a, 2)), strength)
             for b in range(a + 1, 3):
-                add([(3 * i + a, 1), (3 * i + b, 1), (3 * j + a, 1), (3 * j + b, 1)], 2.0 * strength)
+                add(((3 * i + a, 1), (3 * i + b, 1), (3 * j + a, 1), (3 * j + b, 1)), 2.0 * strength)
     for sites, scales, polynomial in on_sites:
         for site, scale in zip(sites.tolist(), scales.tolist(), strict=True):
             for exponents, c in polynomial.items():
-                add([(3 * site + axis, e) for axis, e in enumerate(exponents) if e], scale * c)
-    low = {exponents: c for exponents, c in total.items() if sum(exponents) <= 2}  # of Stevens functions with r = 1
-    high = SeparatePolynomial(Polynomial._from_valid({e: c for e, c in total.items() if e not in low}, n))
-    return Quadratic.from_polynomial(Polynomial._from_valid(low, n)) + high if low else high
+                add(tuple((3 * site + axis, e) for axis, e in enumerate(exponents) if e), scale * c)
+    low = {key: c for key, c in total.items() if sum(e for _, e in key) <= 2}  # of Stevens functions with r = 1
+    high = SeparatePolynomial(SparsePolynomial({key: c for key, c in total.items() if key not in low}, 3 * count))
+    return Quadratic.from_polynomial(SparsePolynomial(low, 3 * count)) + high if low else high
