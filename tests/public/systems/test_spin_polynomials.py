@@ -35,18 +35,18 @@ def of_all(vectors):
 
 
 def by_hand(x, size=(4, 3)):
-    """Return the energy of the model, periodic in the plane."""
-    spins = S * x.reshape(*size, 3)
-    energy = sum(STEVENS[name] * np.sum(values) for name, values in of_all(spins).items())
-    for axis in range(2):
+    """Return the energies of states (..., n) of the model, periodic in the plane."""
+    spins = S * x.reshape(*x.shape[:-1], *size, 3)
+    energy = sum(STEVENS[name] * values for name, values in of_all(spins).items()) - 2.0 * spins @ B
+    for axis in (-3, -2):
         products = np.sum(spins * np.roll(spins, -1, axis), axis=-1)
-        energy += np.sum(J * products + K * products**2)
-    return energy - 2.0 * np.sum(spins @ B)
+        energy = energy + J * products + K * products**2
+    return np.sum(energy, axis=(-1, -2))
 
 
 def torque(t, x):
     """Return S' of S' = S x (-dH/dS), by complex steps."""
-    gradient = np.array([by_hand(x + 1e-30j * unit).imag / 1e-30 for unit in np.eye(len(x))])
+    gradient = by_hand(x + 1e-30j * np.eye(len(x))).imag / 1e-30
     return np.cross(x.reshape(-1, 3), -gradient.reshape(-1, 3) / S).ravel()
 
 
@@ -99,13 +99,16 @@ def test_two_spins_turn_about_their_sum():
     assert set(pair.integrals) == {"total S1", "total S2", "total S3"}
 
 
+def few(spins, energy=1.0, K=K):
+    """Return an open chain of spins with all terms of degree four, in a unit of energy."""
+    chain = co.systems.spins(TETRAGONAL, (spins, 1, 1), spin=S, periodic=False).exchange(BOND, energy * J)
+    stevens = {name: energy * STEVENS[name] for name in ("B20", "B40", "B44")}
+    return chain.biquadratic(BOND, energy * K).single_ion("Mn", stevens).field(energy * B)
+
+
 def test_members_batches_archives_and_units(tmp_path):
     """The same bits alone, beside others, in a batch, and resumed; other units of energy scale the time alone."""
-    spins, x0, method = model((3, 1, 1)), start(3), co.Splitting(order=4)
-    spins = co.systems.spins(TETRAGONAL, (3, 1, 1), spin=S, periodic=(True, False, False)).exchange(BOND, J)
-    weaker, spins = (
-        spins.biquadratic(BOND, k * K).single_ion("Mn", STEVENS).field(B) for k in (0.5, 1.0)
-    )
+    x0, method, spins, weaker = start(2), co.Splitting(order=4), few(2), few(2, K=0.5 * K)
     alone = co.integrate(spins, x0, (0, 0.4), 0.01, method).x[-1]
     assert np.array_equal(co.integrate(spins, np.tile(x0, (17, 1)), (0, 0.4), 0.01, method).x[-1, 9], alone)
     both = co.integrate(co.batch([weaker, spins]), np.tile(x0, (2, 1)), (0, 0.4), 0.01, method).x[-1]
@@ -114,30 +117,22 @@ def test_members_batches_archives_and_units(tmp_path):
     co.integrate(spins, x0, (0, 0.2), 0.01, method, archive=tmp_path / "run")
     assert np.array_equal(co.resume(tmp_path / "run", 0.4).x[-1], alone)
     for unit in (1e-7, 1e30):
-        other = co.systems.spins(TETRAGONAL, (3, 1, 1), spin=S, periodic=(True, False, False)).exchange(BOND, unit * J)
-        stevens = {name: unit * value for name, value in STEVENS.items()}
-        other = other.biquadratic(BOND, unit * K).single_ion("Mn", stevens).field(unit * B)
-        scaled = co.integrate(other, x0, (0, 0.4 / unit), 0.01 / unit, method).x[-1]
+        scaled = co.integrate(few(2, unit), x0, (0, 0.4 / unit), 0.01 / unit, method).x[-1]
         assert np.abs(scaled - alone).max() < 1e-12
 
 
 def test_derivatives():
     """Gradients by the start, the field and the coefficients agree with differences, of the rule for each."""
-    spins = co.systems.spins(TETRAGONAL, (2, 1, 1), spin=S, periodic=False).exchange(BOND, J)
-    spins, x0 = spins.biquadratic(BOND, K).single_ion("Mn", STEVENS).field(B), start(2)
-    direction = np.random.default_rng(2).standard_normal(6)
+    spins, x0, direction = few(2), start(2), np.random.default_rng(2).standard_normal(6)
 
     def end(method, x, K=K):
-        other = co.systems.spins(TETRAGONAL, (2, 1, 1), spin=S, periodic=False).exchange(BOND, J)
-        other = other.biquadratic(BOND, K).single_ion("Mn", STEVENS).field(B)
-        return co.integrate(other, x, (0, 0.5), 0.01, method).x[-1]
+        return co.integrate(spins if K == -0.3 else few(2, K=K), x, (0, 0.5), 0.01, method).x[-1]
 
     monomials = spins.hamiltonian.summands[1].polynomial.monomials
-    of_K = np.array([c / K / S**4 if len([e for e in key if e]) > 1 else 0.0 for key, c in monomials.items()])
     of_K = np.array([float(c) * any(key[:3]) * any(key[3:]) / K for key, c in monomials.items()])
     # The derivative by a coefficient of parts that share it is that of the exact motion, to the order of the scheme.
     for method, of_scheme in ((co.Splitting(order=6), 1e-8), (co.GaussLegendre(3), 1e-8)):
-        sol, pullback = co.prepare(spins, method, step=0.01).vjp(x0, (0, 0.5), save_every=50)
+        _, pullback = co.prepare(spins, method, step=0.01).vjp(x0, (0, 0.5), save_every=50)
         gradient = pullback(x=np.stack([np.zeros(6), direction]))
         d = np.random.default_rng(3).standard_normal(6)
         ahead, behind = (end(method, x0 + e * d) @ direction for e in (1e-5, -1e-5))
@@ -186,21 +181,20 @@ def test_quantum_factors_of_the_docstring(s):
         for z in (0.9, 0.3, -0.6):
             expected = coherent(s, z) @ values
             found = factor * ion.energy([np.sqrt(1 - z * z), 0, z])
-            assert abs(found - expected) < 1e-11 * np.abs(values).max()
+            assert abs(found - expected) <= 1e-11 * np.abs(values).max()
 
 
 @pytest.mark.parametrize("degree", [2, 4, 6])
 def test_all_stevens_functions(degree):
     """They are harmonic and orthogonal, turn with m about z, and have a positive leading term."""
     free = co.spins.crystal(lattice=(1, 1, 1.2, 90, 90, 90), sites={"Gd": (0, 0, 0)}, space_group="P 1")
-    nodes, weights = np.polynomial.legendre.leggauss(8)
+    nodes, _ = np.polynomial.legendre.leggauss(8)
     turns = 2 * np.pi * np.arange(16) / 16
     r = np.sqrt(1 - nodes**2)[:, None]
     points = np.stack(np.broadcast_arrays(r * np.cos(turns), r * np.sin(turns), nodes[:, None]), axis=-1)
-    by_name = {}
     for m in range(-degree, degree + 1):
         ion = co.systems.spins(free, (1, 1, 1)).single_ion("Gd", {f"B{degree}{m}": 1.0})
-        by_name[m] = values = ion.hamiltonian(points.reshape(-1, 3)).reshape(8, 16)
+        values = ion.hamiltonian(points.reshape(-1, 3)).reshape(8, 16)
         n, phase = abs(m), np.cos(m * turns) if m >= 0 else np.sin(-m * turns)
         along = values @ phase / (phase @ phase)
         assert np.abs(values - along[:, None] * phase).max() < 1e-12 * np.abs(values).max()
@@ -211,18 +205,14 @@ def test_all_stevens_functions(degree):
         assert scale > 0 and np.abs(along - scale * shape).max() < 1e-12 * np.abs(along).max()
         coefficients = scale * polynomial.coef[degree - n :: -2] if n < degree else scale * polynomial.coef
         whole = np.round(coefficients).astype(int)
-        doubled = 2 if m == -2 and degree == 2 else 1
-        assert np.abs(coefficients - whole).max() < 1e-9 and np.gcd.reduce(whole) == 1, (m, coefficients, doubled)
+        assert np.abs(coefficients - whole).max() < 1e-9 and np.gcd.reduce(whole) == 1
 
 
 def test_symmetry_propagates_and_refuses():
     """Sites of a cell get functions turned to their frames; what the site forbids is refused with the allowed ones."""
-    mn = co.spins.structure("MnF2").subcrystal("Mn")
-    for given in ({"B44": 1.0, "B42": 0.3, "B64": 0.2}, {"B4-2": 0.5, "B62": 0.1}):
-        try:
-            ions = co.systems.spins(mn, (1, 1, 1)).single_ion("Mn", given)
-        except ValueError:
-            continue
+    mn = co.spins.crystal(co.spins.structure("MnF2")).subcrystal("Mn")
+    for given in ({"B44": 1.0, "B4-2": 0.3, "B64": 0.2}, {"B4-2": 0.5, "B6-2": 0.1}):
+        ions = co.systems.spins(mn, (1, 1, 1)).single_ion("Mn", given)
         a, b = start(1, 3), np.array([0.0, 0.0, 1.0])
         x, y, z = a
         one = ions.energy(np.concatenate([a, b])) - ions.energy(np.concatenate([b, b]))
@@ -236,11 +226,11 @@ def test_symmetry_propagates_and_refuses():
     assert abs(ions.energy(a) - ions.energy([0, 0, 1]) - 2.0 * (x**4 + y**4 + z**4 - 1)) < 1e-13
     with refused(ValueError, "Fe 0", "B40", "B44"):
         co.systems.spins(cubic, (1, 1, 1)).single_ion("Fe", {"B40": 0.1})
-    trigonal = co.spins.structure("FeI2").subcrystal("Fe")
-    ions = co.systems.spins(trigonal, (1, 1, 1)).single_ion("Fe", {"B40": 0.1, "B43": 0.2, "B66": 0.1})
+    trigonal = co.spins.crystal(co.spins.structure("FeI2")).subcrystal("Fe")
+    ions = co.systems.spins(trigonal, (1, 1, 1)).single_ion("Fe", {"B40": 0.1, "B4-3": 0.2, "B66": 0.1})
     third = np.array([[-0.5, -np.sqrt(0.75), 0], [np.sqrt(0.75), -0.5, 0], [0, 0, 1]])
     assert abs(ions.energy(third @ a) - ions.energy(a)) < 1e-13
-    with refused(ValueError, "B44", "Fe 0") if False else refused(ValueError, "Fe 0", "B43"):
+    with refused(ValueError, "Fe 0", "B4-3"):
         co.systems.spins(trigonal, (1, 1, 1)).single_ion("Fe", {"B44": 0.2})
 
 

@@ -344,8 +344,7 @@ class SpinModel(LiePoissonSystem):
         Raises
         ------
         ValueError, TypeError
-            As for `exchange`; memory that does not suffice: the energy is a polynomial in all coordinates, for up to
-            about a thousand spins.
+            As for `exchange`.
 
         Examples
         --------
