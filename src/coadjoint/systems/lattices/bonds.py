@@ -50,7 +50,7 @@ class AllowedMatrices:
         R = self._rotations
         if np.abs(near - J).max() <= 1e-14 * size:  # allowed as given
             near = J
-        images = _clean(product(product(R, near), R.swapaxes(-1, -2)), size)
+        images = clean(product(product(R, near), R.swapaxes(-1, -2)), size)
         equal = np.abs(images - near).max(axis=(1, 2)) <= 1e-14 * size  # such as isotropic exchange, without round-off
         return np.where(equal[:, None, None], near, images)
 
@@ -63,7 +63,7 @@ class AllowedMatrices:
         """Return the nearest allowed matrix, the mean over the operations that keep the representative."""
         images = product(product(self._kept, J), self._kept.swapaxes(-1, -2))
         images[self._reversed] = images[self._reversed].swapaxes(-1, -2)
-        return _clean(images.sum(axis=0) / len(images), np.abs(J).max())
+        return clean(images.sum(axis=0) / len(images), np.abs(J).max())
 
     def _reduced(self, entries: tuple[tuple[int, int], ...], sign: float) -> Floats:
         """Return the allowed matrices that are symmetric (1) or antisymmetric (-1), in reduced row echelon form."""
@@ -338,7 +338,7 @@ def _combination(coefficients: Floats) -> str:
     return text or "0"
 
 
-def _clean(matrices: Floats, size: float) -> Floats:
+def clean(matrices: Floats, size: float) -> Floats:
     """Return matrices without the entries that are round-off."""
     return np.where(np.abs(matrices) <= 1e-14 * size, 0.0, matrices)
 

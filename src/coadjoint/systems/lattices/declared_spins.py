@@ -13,6 +13,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.spin_lattice import MAX_COUPLING
 from coadjoint.systems.lattices.spin_polynomials import SitePolynomial
+from coadjoint.systems.lattices.twists import Twist
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -123,6 +124,7 @@ class Declaration:
     units: str
     spin: Floats  # of the sites of a cell
     g: Floats
+    twist: Twist | None = None
     occupied: Integers | None = None
     substitutions: tuple[Substitution, ...] = ()
     couplings: tuple[Coupling, ...] = ()

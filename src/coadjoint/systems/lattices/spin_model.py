@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Self
@@ -32,6 +32,7 @@ from coadjoint.systems.lattices.declared_spins import (
 )
 from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
 from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, edges_of_bonds
+from coadjoint.systems.lattices.space_groups import product
 from coadjoint.systems.lattices.spin_lattice import (
     MAX_STORED_VALUES,
     on_spins,
@@ -39,6 +40,7 @@ from coadjoint.systems.lattices.spin_lattice import (
     total_spins,
 )
 from coadjoint.systems.lattices.spin_polynomials import polynomial_of_spins, propagated, read_stevens
+from coadjoint.systems.lattices.twists import Twist, windings
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
@@ -62,6 +64,8 @@ class SpinModel(LiePoissonSystem):
         Cells along the three lattice vectors.
     periodic : tuple of bool
         Whether the lattice is periodic along each.
+    twist : tuple of float
+        Angles by which the spins are turned beyond the ends; zeros without a twist.
     units : str
         ``"natural"`` or ``"meV"``.
     spin, moments : (sites,) array
@@ -82,6 +86,8 @@ class SpinModel(LiePoissonSystem):
         edges, blocks, field, driven = self._edges(sites)
         occupied = declared.occupied
         count = sites if occupied is None else len(occupied)
+        if declared.twist is not None:
+            self._check_invariant(declared.twist)
         matrices = np.zeros((cell, 3, 3))
         quartic = bool(declared.biquadratics) or any(one.polynomials for one in declared.anisotropies)
         for anisotropy in declared.anisotropies:
@@ -137,6 +143,10 @@ class SpinModel(LiePoissonSystem):
         cell = len(declared.crystal.labels)
         by_bond = edges_of_bonds(cell, [(i, j, tuple(n)) for i, j, *n in bonds], declared.size, declared.periodic)
         numbers = np.repeat(np.array(kinds, dtype=np.int64), [len(part) for part in by_bond])
+        if declared.twist is not None:
+            turns, turn = self._turns(bonds)
+            distinct = product(distinct[:, None], turns).reshape(-1, 3, 3)
+            numbers = numbers * len(turns) + turn
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int64), *by_bond])
         if declared.occupied is not None:
             new = np.full(sites, -1)
@@ -155,6 +165,30 @@ class SpinModel(LiePoissonSystem):
         field = moments[:, None] * field
         return edges, blocks, field[0] if len(field) == 1 else field, None
 
+    def _turns(self, bonds: Sequence[tuple[int, ...]]) -> tuple[Floats, Integers]:
+        """Return the distinct rotations of second spins of bonds of a cell, and the number of that of each edge."""
+        declared = self._declared
+        crossed = [windings(tuple(n), declared.size, declared.periodic) for _, _, *n in bonds]
+        joined = np.concatenate([np.zeros((0, 3), dtype=np.int64), *crossed])
+        if declared.twist is None or not len(joined):
+            return np.eye(3)[None], np.zeros(len(joined), dtype=np.int64)
+        return declared.twist.matrices(joined)
+
+    def _check_invariant(self, twist: Twist) -> None:
+        """Raise ValueError for terms that rotations about the axis of a twist change."""
+        declared = self._declared
+        for coupling in declared.couplings:
+            twist.check_matrices(coupling.matrices, f"{coupling.what} on bond {coupling.bond}")
+        for anisotropy in declared.anisotropies:
+            what = f"single_ion on {anisotropy.text.partition(':')[0]}"
+            twist.check_matrices(anisotropy.matrices, what)
+            for *_, polynomial in anisotropy.polynomials:
+                twist.check_polynomial(polynomial, what)
+        if declared.field is not None:
+            twist.check_field(declared.field)
+        if declared.dipolar:
+            raise ValueError("dipolar is given for a twisted lattice, whose rotations change it; give no twist")
+
     def _polynomial(self, count: int) -> Any:
         """Return the terms of degree four and six."""
         declared = self._declared
@@ -163,7 +197,7 @@ class SpinModel(LiePoissonSystem):
         ratios[self._numbers] = self.spin / declared.spin[self.sites]
         new = np.full(sites, -1)
         new[self._numbers] = np.arange(count)
-        edges, strengths, owner = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], {}
+        edges, strengths, owner = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], dict[tuple[int, ...], str]()
         for one in declared.biquadratics:
             bonds = [(i, j, tuple(n)) for i, j, *n in one.bonds.tolist()]
             owner |= {(i, j, *n): one.bond for i, j, n in bonds}
@@ -173,13 +207,14 @@ class SpinModel(LiePoissonSystem):
         check_joined_once(declared, owner)
         joined = np.concatenate(edges)
         scaled = np.concatenate(strengths) * np.prod(ratios[joined] ** 2, axis=1)
+        turns, turn = self._turns([bond for one in declared.biquadratics for bond in map(tuple, one.bonds.tolist())])
         present = np.all(new[joined] >= 0, axis=1)
         on_sites = []
         for anisotropy in declared.anisotropies:
             for site, degree, polynomial in anisotropy.polynomials:
                 numbers = np.flatnonzero(self.sites == site)
                 on_sites.append((numbers, ratios[self._numbers[numbers]] ** degree, polynomial))
-        return polynomial_of_spins(count, new[joined[present]], scaled[present], on_sites)
+        return polynomial_of_spins(count, new[joined[present]], scaled[present], (turns, turn[present]), on_sites)
 
     def _scaled_by_lengths(self, blocks: Blocks, ends: tuple[Integers, ...]) -> Blocks:
         """Return matrices of edges (two ends) or sites (one) times the ratios of the lengths of substituted spins."""
@@ -205,6 +240,11 @@ class SpinModel(LiePoissonSystem):
     def periodic(self) -> tuple[bool, bool, bool]:
         """Whether the lattice is periodic along each lattice vector."""
         return self._declared.periodic
+
+    @property
+    def twist(self) -> tuple[float, float, float]:
+        """Angles by which spins are turned beyond the ends along the lattice vectors; zeros without a twist."""
+        return self._declared.twist.angles if self._declared.twist else (0.0, 0.0, 0.0)
 
     @property
     def units(self) -> str:
@@ -708,6 +748,7 @@ class SpinModel(LiePoissonSystem):
             f"{len(self.sites)} spins, {cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
             "H = sum of S_i . J S_j + D . (S_i x S_j) + K (S_i . S_j)^2 over bonds + S_i . A S_i + B_lm O_lm(S_i)"
             " - g mu_B B . S_i over sites",
+            *([] if (twist := declared.twist) is None else [f"twist {twist.angles} rad about {twist.axis}"]),
             *kinds,
             *(ion.text for ion in declared.substitutions),
         ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.polynomial import SparseKey, SparseMonomials, SparsePolynomial
+from coadjoint.algebra.polynomials.polynomial import SparseMonomials, SparsePolynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -100,14 +100,14 @@ def _quadratic(polynomial: SitePolynomial) -> Floats:
 def propagated(site: Site, polynomial: SitePolynomial) -> list[SitePolynomial]:
     """Return the polynomials of all equivalent sites; ValueError if symmetry does not allow the given one."""
     points = _directions()
-    here = _values(polynomial, points)
-    mean = np.mean([_values(polynomial, points @ turn) for turn in site._kept], axis=0)
+    here = values_of(polynomial, points)
+    mean = np.mean([values_of(polynomial, points @ turn) for turn in site._kept], axis=0)
     if np.abs(here - mean).max() > MATRIX_TOLERANCE * np.abs(here).max():
         raise ValueError(
             f"the Stevens coefficients are not allowed by symmetry on site {site.label} {site.number}, in whose frame, "
             f"the Cartesian one of the lattice, it allows {_allowed(site)}; give these"
         )
-    return [_turned(polynomial, turn) for turn in site._rotations]
+    return [turned(polynomial, turn) for turn in site._rotations]
 
 
 def _directions() -> Floats:
@@ -117,7 +117,9 @@ def _directions() -> Floats:
     return np.stack([radii * np.cos(turns), radii * np.sin(turns), heights], axis=-1).reshape(-1, 3)
 
 
-def _values(polynomial: SitePolynomial, points: Floats) -> Floats:
+def values_of(polynomial: SitePolynomial, points: Floats | None = None) -> Floats:
+    """Return the values of a polynomial at directions, by default many that tell polynomials apart."""
+    points = _directions() if points is None else points
     return np.asarray(sum(c * np.prod(points ** np.array(e), axis=1) for e, c in polynomial.items()))
 
 
@@ -126,9 +128,9 @@ def _allowed(site: Site) -> str:
     points, found = _directions(), []
     for degree in (2, 4, 6):
         functions = [stevens(degree, m) for m in range(-degree, degree + 1)]
-        own = np.stack([_values(one, points) for one in functions], axis=1)
-        turned = np.mean([[_values(one, points @ turn) for one in functions] for turn in site._kept], axis=0)
-        projection = np.linalg.lstsq(own, turned.T, rcond=None)[0]
+        own = np.stack([values_of(one, points) for one in functions], axis=1)
+        means = np.mean([[values_of(one, points @ turn) for one in functions] for turn in site._kept], axis=0)
+        projection = np.linalg.lstsq(own, means.T, rcond=None)[0]
         for k, m in enumerate(range(-degree, degree + 1)):
             if np.abs(projection[k]).max() > 1e-9:
                 tied = [j for j in range(2 * degree + 1) if j != k and abs(projection[j, k]) > 1e-9]
@@ -136,7 +138,7 @@ def _allowed(site: Site) -> str:
     return ", ".join(found) or "none"
 
 
-def _turned(polynomial: SitePolynomial, turn: Floats) -> SitePolynomial:
+def turned(polynomial: SitePolynomial, turn: Floats) -> SitePolynomial:
     """Return the polynomial p(R^T n)."""
     rows = turn.T.tolist()
     total: SitePolynomial = {}
@@ -166,25 +168,29 @@ def polynomial_of_spins(
     count: int,
     edges: Integers,
     strengths: Floats,
+    turns: tuple[Floats, Integers],
     on_sites: Sequence[tuple[Integers, Floats, SitePolynomial]],
 ) -> Any:
-    """Return the sum of strengths (S_i . S_j)^2 over edges, and of polynomials of directions of sites times factors."""
-    number = 6 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
+    """Return the sum of strengths (S_i . R S_j)^2 over edges, and of polynomials of directions of sites times factors.
+
+    `turns` are the distinct rotations R and the number of that of each edge.
+    """
+    number = 9 * len(edges) + sum(len(sites) * len(one) for sites, _, one in on_sites)
     check_available_memory(BYTES_PER_MONOMIAL * number, f"{number} monomials of {count} spins", "take fewer cells")
     total: SparseMonomials = {}
 
-    def add(key: SparseKey, value: float) -> None:
+    def add(coordinates: Sequence[int], value: float) -> None:
+        key = tuple((k, coordinates.count(k)) for k in sorted({*coordinates}))
         total[key] = total.get(key, 0.0) + value
 
-    for (i, j), strength in zip(np.sort(edges, axis=1).tolist(), strengths.tolist(), strict=True):
-        for a in range(3):
-            add(((3 * i + a, 2), (3 * j + a, 2)), strength)
-            for b in range(a + 1, 3):
-                add(((3 * i + a, 1), (3 * i + b, 1), (3 * j + a, 1), (3 * j + b, 1)), 2.0 * strength)
+    entries = [[(a, b, float(R[a, b])) for a in range(3) for b in range(3) if R[a, b]] for R in turns[0]]
+    for (i, j), strength, turn in zip((3 * edges).tolist(), strengths.tolist(), turns[1].tolist(), strict=True):
+        for (a, b, first), (c, d, second) in products(entries[turn], repeat=2):
+            add((i + a, i + c, j + b, j + d), strength * first * second)
     for sites, scales, polynomial in on_sites:
-        for site, scale in zip(sites.tolist(), scales.tolist(), strict=True):
+        for site, scale in zip((3 * sites).tolist(), scales.tolist(), strict=True):
             for exponents, c in polynomial.items():
-                add(tuple((3 * site + axis, e) for axis, e in enumerate(exponents) if e), scale * c)
+                add([site + axis for axis, e in enumerate(exponents) for _ in range(e)], scale * c)
     low = {key: c for key, c in total.items() if sum(e for _, e in key) <= 2}  # of Stevens functions with r = 1
     high = SeparatePolynomial(SparsePolynomial({key: c for key, c in total.items() if key not in low}, 3 * count))
     return Quadratic.from_polynomial(SparsePolynomial(low, 3 * count)) + high if low else high
