@@ -109,7 +109,7 @@ class SpinModel(LiePoissonSystem):
                 declared.crystal.lattice,
                 declared.crystal.positions @ declared.crystal.lattice,
                 declared.size,
-                declared.periodic[0],
+                declared.periodic,
                 moments,
                 occupied,
                 factors,
@@ -524,7 +524,9 @@ class SpinModel(LiePoissonSystem):
         Open lattices have the sum over all pairs of sites, and lattices that are periodic along all three axes Ewald's
         sum over all their images, of a sample in a surrounding conductor: it has no demagnetization field, and parallel
         moments on a cubic lattice have the field mu0 M/3. For a shape with demagnetization tensor N add
-        ``mu0 V (M . N M) / 2``. Splittings do not support it; `GaussLegendre(1)` conserves the energy.
+        ``mu0 V (M . N M) / 2``. Lattices that are periodic along two axes are films, with the sum over all images in
+        their plane and no film above or below: a thick one has the demagnetization field -mu0 M across it. Splittings
+        do not support dipoles; `GaussLegendre(1)` conserves the energy.
 
         Returns
         -------
@@ -533,11 +535,12 @@ class SpinModel(LiePoissonSystem):
         Raises
         ------
         ValueError
-            A lattice that is periodic along one or two axes; a model with dipoles.
+            A lattice that is periodic along one axis only, or twisted; a model with dipoles.
 
         References
         ----------
-        S. W. de Leeuw, J. W. Perram, E. R. Smith, Proc. R. Soc. Lond. A 373, 27 (1980).
+        S. W. de Leeuw, J. W. Perram, E. R. Smith, Proc. R. Soc. Lond. A 373, 27 (1980); D. E. Parry, Surf. Sci. 49, 433
+        (1975), films.
 
         Examples
         --------
@@ -551,10 +554,10 @@ class SpinModel(LiePoissonSystem):
         """
         if self._declared.dipolar:
             raise ValueError("the model has dipoles; call dipolar once")
-        if len(set(self.periodic)) > 1:
+        if sum(self.periodic) == 1:
             raise ValueError(
                 f"dipolar is given for a lattice with periodic={self.periodic}; dipoles are summed over open lattices, "
-                "and over those that are periodic along all axes"
+                "films that are periodic along two axes, and lattices that are along all three"
             )
         return self._with(dipolar=True)
 
