@@ -212,6 +212,10 @@ def _lattice(solution: Solution) -> Lattice:
 
 def _lattice_of(system: Any) -> Lattice:
     if isinstance(system, SpinModel):
+        if any(system.twist):
+            raise ValueError(
+                f"{system!r} is twisted by {system.twist}; structure_factor needs a lattice without a twist"
+            )
         crystal, text = system.crystal, f"{system.crystal!r}, {cells_text(system.size)} cells"
         return Lattice(text, system.size, crystal.positions, 2.0 * np.pi * inverse(crystal.lattice).T, None)
     name = system.layout.get("lattice")

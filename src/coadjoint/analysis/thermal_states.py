@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
+from coadjoint.program.parts.free_bodies import by_degree
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
+from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 from coadjoint.systems.lattices.dipoles import DipolarFunction
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_choice, read_finite, read_integer
@@ -26,13 +29,69 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
+class SpinMonomials:
+    """Monomials of spins: coefficients (k,) and coordinates with multiplicity (k, degree), filled up by 3 sites."""
+
+    coefficients: Floats
+    factors: Integers
+    sites: int
+
+    @classmethod
+    def of(cls, polynomial: Polynomial, sites: int) -> SpinMonomials:
+        """Return the monomials of a polynomial."""
+        listed = [[k for k, e in factors.items() for _ in range(e)] for _, _, factors in polynomial._factors]
+        factors = np.full((len(listed), polynomial.degree), 3 * sites)
+        for row, one in zip(factors, listed, strict=True):
+            row[: len(one)] = one
+        return cls(np.array([float(c) for _, c, _ in polynomial._factors]), factors, sites)
+
+    def take(self, chosen: Any) -> SpinMonomials:
+        return replace(self, coefficients=self.coefficients[chosen], factors=self.factors[chosen])
+
+    def values(self, S: Floats) -> Floats:
+        """Return the monomials (k, members) of spins (sites, 3, members)."""
+        rows = S.reshape(-1, S.shape[2])
+        filled = np.concatenate([rows, np.ones_like(rows[:1])])
+        total = np.repeat(self.coefficients[:, None], rows.shape[1], axis=1)
+        for column in self.factors.T:
+            total *= filled[column]
+        return total
+
+    def changes(self, owner: Integers, S: Floats, sites: Integers, proposed: Floats) -> Floats:
+        """Return the changes (sites, members) of the monomials that each proposed spin owns."""
+        after, total = S.copy(), np.zeros((len(sites), S.shape[2]))
+        after[sites] = proposed
+        np.add.at(total, owner, self.values(after) - self.values(S))
+        return total
+
+    def fields(self, lengths: Floats) -> Floats:
+        """Return bounds (sites, members) of the derivatives by spins of these lengths."""
+        filled = np.concatenate([lengths, np.ones_like(lengths[:1])])
+        total = np.zeros_like(filled)
+        for j, column in enumerate(self.factors.T // 3):
+            others = np.delete(self.factors // 3, j, axis=1)
+            np.add.at(total, column, np.abs(self.coefficients)[:, None] * np.prod(filled[others], axis=1))
+        return total[:-1]
+
+    def neighbours(self) -> Any:
+        """Return the pairs of different sites in a monomial, sparse (sites, sites)."""
+        import scipy.sparse
+
+        degree, sites = self.factors.shape[1], self.factors // 3
+        pairs = np.stack([np.repeat(sites, degree, axis=1).ravel(), np.tile(sites, degree).ravel()])
+        first, second = pairs[:, (pairs[0] != pairs[1]) & (pairs < self.sites).all(axis=0)]
+        return scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(self.sites, self.sites)).tocsr()
+
+
+@dataclass(frozen=True, eq=False)
 class SpinEnergy:
-    """``H = S . W S / 2 + sum_i S_i . A_i S_i / 2 + linear . S + constant`` of spins; W is sparse."""
+    """``H = S . W S / 2 + sum_i S_i . A_i S_i / 2 + linear . S + constant`` of spins, and monomials; W is sparse."""
 
     coupling: Any
     on_site: Floats
     linear: Floats
     constant: float
+    monomials: SpinMonomials | None = None
 
     @property
     def sites(self) -> int:
@@ -53,14 +112,16 @@ class SpinEnergy:
     @cached_property
     def sublattices(self) -> tuple[Sublattice, ...]:
         """Sets of sites that are not coupled to each other, by first fit."""
-        colours = _colours(self.strengths)
+        monomials = self.monomials
+        colours = _colours(self.strengths if monomials is None else (self.strengths + monomials.neighbours()).tocsr())
         on_site = self.on_site if np.any(self.on_site) else None
         sets = []
         for colour in range(int(colours.max()) + 1):
             sites = np.flatnonzero(colours == colour)
             rows = (3 * sites[:, None] + np.arange(3)).ravel()
             form = None if on_site is None else on_site[sites]
-            sets.append(Sublattice(sites, self.coupling[rows], self.linear[rows].reshape(-1, 3, 1), form))
+            owned = None if monomials is None else _owned(monomials, sites)
+            sets.append(Sublattice(sites, self.coupling[rows], self.linear[rows].reshape(-1, 3, 1), form, owned))
         return tuple(sets)
 
     def energy(self, S: Floats) -> Floats:
@@ -68,12 +129,16 @@ class SpinEnergy:
         density = rows * (0.5 * product(self.coupling, rows) + self.linear[:, None])
         # Each member is summed on its own, in an order that does not depend on their number.
         local = np.sum(np.ascontiguousarray(on_site_energy(self.on_site, S).T), axis=1)
+        if self.monomials is not None:
+            local += np.sum(np.ascontiguousarray(self.monomials.values(S).T), axis=1)
         return np.asarray(self.constant + local + np.sum(np.ascontiguousarray(density.T), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Sublattice:
-    """Sites not coupled to each other: rows of the coupling, fields and on-site forms (None if zero).
+    """Sites not coupled to each other: rows of the coupling, fields, on-site forms, and monomials with their sites.
+
+    The last two are None if there are none.
 
     In a simulation also `beta` (members,), and lengths and rotation angles of spins (sites, members).
     """
@@ -82,6 +147,7 @@ class Sublattice:
     coupling: Any
     linear: Floats
     on_site: Floats | None
+    monomials: tuple[SpinMonomials, Integers] | None = None
     beta: Any = None
     lengths: Any = None
     sizes: Any = None
@@ -95,11 +161,23 @@ class Sublattice:
         products = product(self.coupling, S.reshape(-1, S.shape[2]))
         return np.asarray(-products.reshape(-1, 3, S.shape[2]) - self.linear)
 
-    def on_site_energy(self, S: Floats) -> Any:
-        """Return ``S_i . A_i S_i / 2`` of the spins of this set, (sites of this set, members)."""
-        if self.on_site is None:
-            return 0.0
-        return on_site_energy(self.on_site, S)
+    def change(self, S: Floats, proposed: Floats) -> Any:
+        """Return the changes (sites of this set, members) of all energies but that in `field`, for proposed spins."""
+        total: Any = 0.0
+        if self.on_site is not None:
+            total = on_site_energy(self.on_site, proposed) - on_site_energy(self.on_site, S[self.sites])
+        if self.monomials is not None:
+            owned, owner = self.monomials
+            total = total + owned.changes(owner, S, self.sites, proposed)
+        return total
+
+
+def _owned(monomials: SpinMonomials, sites: Integers) -> tuple[SpinMonomials, Integers]:
+    """Return the monomials that depend on some of the sites, no two of which share one, and the site of each."""
+    number = np.full(monomials.sites + 1, -1)
+    number[sites] = np.arange(len(sites))
+    owner = number[monomials.factors // 3].max(axis=1, initial=-1)
+    return monomials.take(owner >= 0), owner[owner >= 0]
 
 
 def on_site_energy(A: Floats, S: Floats) -> Floats:
@@ -137,19 +215,24 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no thermal equilibrium")
     n = system.dim
-    parts = [_matrix_and_linear(term, n) for term in system.hamiltonian.terms()]
+    terms = [piece for term in system.hamiltonian.terms() for piece in by_degree(term)]
+    polynomials = [one for one in terms if isinstance(one, PolynomialTerm)]
+    polynomials = [one for one in polynomials if one.polynomial.degree > 2]
+    parts = [_matrix_and_linear(term, n) for term in terms if term not in polynomials]
     if any(part is None for part in parts):
         raise TypeError(
-            f"the Hamiltonian of {system.name} is not given as a quadratic form; {asking} needs couplings of pairs of "
-            "spins, anisotropies and fields, as spin_lattice has"
+            f"the Hamiltonian of {system.name} is a function that is not known as a polynomial; {asking} needs "
+            "couplings, anisotropies and fields, as spin_lattice has"
         )
     matrix = sum((part[0] for part in parts if part), start=scipy.sparse.csr_matrix((n, n))).tocoo()
     on_site, same = np.zeros((n // 3, 3, 3)), matrix.row // 3 == matrix.col // 3
     on_site[matrix.row[same] // 3, matrix.row[same] % 3, matrix.col[same] % 3] = matrix.data[same]
     entries = (matrix.data[~same], (matrix.row[~same], matrix.col[~same]))
     coupling = scipy.sparse.coo_matrix(entries, shape=(n, n)).tocsr()
-    linear = np.sum([part[1] for part in parts if part], axis=0)
-    return SpinEnergy(coupling, on_site, linear, sum(part[2] for part in parts if part))
+    linear = np.sum([np.zeros(n), *(part[1] for part in parts if part)], axis=0)
+    total = sum((one.polynomial for one in polynomials[1:]), polynomials[0].polynomial) if polynomials else None
+    monomials = None if total is None else SpinMonomials.of(total, n // 3)
+    return SpinEnergy(coupling, on_site, linear, sum(part[2] for part in parts if part), monomials)
 
 
 def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
@@ -236,8 +319,8 @@ def thermal_states(
     Parameters
     ----------
     system : LiePoissonSystem
-        Copies of so(3) with an energy that is at most quadratic, such as `spin_lattice` with any of its couplings. With
-        dipolar coupling spins are updated one by one, in time N^2 for each sweep.
+        Copies of so(3) whose energy is a polynomial, such as `spin_lattice` and `co.systems.spins` with any of their
+        couplings. With dipolar coupling spins are updated one by one, in time N^2 for each sweep.
     temperature : float or (members,) array_like
         Boltzmann's constant times the temperature, in units of the energy; kelvin for `co.systems.spins` in units of
         meV. Positive, one for all members or for each.
@@ -248,12 +331,14 @@ def thermal_states(
     sweeps : int
         Number of sweeps over all spins.
     method : {"heat bath", "Metropolis"}
-        "heat bath": new directions from the distribution in the local field; with anisotropy on site, they are accepted
-        with the probability that corrects for it. "Metropolis": a small rotation (half of the proposals), a random
-        direction or a reversal (a quarter each); for anisotropy on site far above the temperature.
+        "heat bath": new directions from the distribution in the local field; with anisotropy on site, and terms of
+        degree three and higher such as biquadratic ones, they are accepted with the probability that corrects for it.
+        "Metropolis": a small rotation (half of the proposals), a random direction or a reversal (a quarter each); for
+        anisotropy on site, or terms of higher degree, far above the temperature.
     over_relaxation : int
         Number of additional sweeps after each, up to 100, which rotate spins by half a turn about their local field:
-        without anisotropy on site at constant energy. They shorten correlations near phase transitions.
+        at constant energy, without anisotropy on site and terms of higher degree. They shorten correlations near phase
+        transitions.
     x0 : (n,) or (members, n) array_like, optional
         Start, from which the spins have their lengths. None is random directions of length one.
 
@@ -264,7 +349,7 @@ def thermal_states(
     Raises
     ------
     TypeError
-        The system has forces, other coordinates than spins, or an energy that depends on time or is not quadratic.
+        The system has forces, other coordinates than spins, or an energy that depends on time or is no polynomial.
     ValueError
         An argument is out of range or has a wrong shape, or the memory does not suffice.
 
@@ -387,6 +472,8 @@ def step_sizes(energies: SpinEnergy, lengths: Floats, beta: Floats) -> Floats:
     """Return sizes of small rotations that change the energy by about kT, from bounds of the local fields."""
     fields = product(energies.strengths, lengths) + np.linalg.norm(energies.linear.reshape(-1, 3), axis=1)[:, None]
     fields += np.linalg.norm(energies.on_site, axis=(1, 2))[:, None] * lengths
+    if energies.monomials is not None:
+        fields += energies.monomials.fields(lengths)
     with np.errstate(divide="ignore"):
         return np.asarray(np.minimum(MAX_STEP, 1.0 / np.sqrt(beta * lengths * fields)))
 
@@ -407,8 +494,7 @@ def heat_bath(sublattice: Sublattice, S: Floats, words: Floats) -> Floats:
     proposed = (1.0 - fall)[:, None] * axis
     proposed += (radius * np.cos(turn))[:, None] * first + (radius * np.sin(turn))[:, None] * second
     proposed *= sublattice.lengths[:, None]
-    old = S[sublattice.sites]
-    return _accept(sublattice, S, proposed, sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old), w)
+    return _accept(sublattice, S, proposed, sublattice.change(S, proposed), w)
 
 
 def metropolis(sublattice: Sublattice, S: Floats, words: Floats) -> Floats:
@@ -421,7 +507,7 @@ def metropolis(sublattice: Sublattice, S: Floats, words: Floats) -> Floats:
     proposed = np.where(
         (kind < 0.5)[:, None], near, np.where((kind < 0.75)[:, None], sublattice.lengths[:, None] * anywhere, -old)
     )
-    change = sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old)
+    change = sublattice.change(S, proposed)
     change = change - np.sum((proposed - old) * sublattice.field(S), axis=1)
     return _accept(sublattice, S, proposed, change, w)
 
@@ -435,7 +521,7 @@ def over_relax(sublattice: Sublattice, S: Floats, words: Floats) -> None:
     # Rounding would change the lengths over many sweeps.
     size = np.sqrt(np.sum(proposed**2, axis=1))
     proposed *= (sublattice.lengths / np.where(size > 0.0, size, 1.0))[:, None]
-    change = sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old)
+    change = sublattice.change(S, proposed)
     _accept(sublattice, S, proposed, change, words[2, sublattice.sites])
 
 

@@ -191,7 +191,7 @@ class Places:
     """
 
     def __init__(self, flow_table: FlowTable) -> None:
-        terms, forms = flow_table.terms, flow_table.parts.forms
+        terms, forms, copied = flow_table.terms, flow_table.parts.forms, flow_table.parts.source != COMPUTED
         weights, monomials = len(terms.offset), len(terms.offset) + len(terms.weight)
         # Rows of one coordinate: their offset has the coefficient of x_i, and their weights those of x_i x_j. Products
         # are omitted only for the coefficients as they are.
@@ -218,7 +218,7 @@ class Places:
         of_omitted = np.flatnonzero(np.isin(terms.factor_row, omitted))
         without = {*(np.searchsorted(terms.factor, of_omitted, side="right") - 1).tolist()}
         self._others: dict[Key, int] = {}
-        for monomial, key in monomials_in(terms, np.ones(terms.size, dtype=bool)):
+        for monomial, key in monomials_in(terms, copied):
             self._others[key] = -1 if key in self._others or monomial in without else monomials + monomial
         low = [key for key in self._others if len(key) in (1, 2)]
         kept = ~np.isin(codes, _codes(low))
@@ -229,7 +229,6 @@ class Places:
         self._code = codes[order]
         self._position = np.stack([first, np.concatenate([second[kept], rest])], axis=1).astype(np.int64)[order]
         self._factor = np.concatenate([factor[kept], np.abs(rest)])[order]
-        copied = flow_table.parts.source != COMPUTED
         of_rows = np.repeat(copied, np.diff(terms.row).astype(np.int64))
         of_weights = np.repeat(of_rows, np.diff(terms.entry).astype(np.int64))
         of_monomials = np.repeat(copied, np.diff(terms.monomial).astype(np.int64))

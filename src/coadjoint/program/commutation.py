@@ -130,11 +130,8 @@ def _find_coupled_pairs(algebra: LieAlgebra, parts: Parts) -> Pairs:
 
 def _forms_commute(algebra: LieAlgebra, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
     """Test for pairs of parts whether all their forms commute, up to rounding."""
-    angle, forms, size = parts.angle, parts.forms, algebra.dim
-    count = np.diff(angle)
-    pair, product_index = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
-    f = angle[first[pair]] + product_index // count[second[pair]]
-    g = angle[second[pair]] + product_index % count[second[pair]]
+    forms, size = parts.forms, algebra.dim
+    pair, f, g = _pairs_of_forms(algebra, parts, first, second)
     values = forms.value.astype(np.float64)
     lookup = _lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
     start, actions = algebra.actions
@@ -165,6 +162,37 @@ def _forms_commute(algebra: LieAlgebra, parts: Parts, first: Integers, second: I
         clashing = np.abs(bracket) > BRACKET_ROUNDOFF * bound
         commute[pair[part][bracket_index[order[begins]][clashing]]] = False
     return commute
+
+
+def _pairs_of_forms(
+    algebra: LieAlgebra, parts: Parts, first: Integers, second: Integers
+) -> tuple[Integers, Integers, Integers]:
+    """Return the pairs of forms of pairs of parts, with its number; if many, only those with coupled coordinates."""
+    angle, forms = parts.angle, parts.forms
+    count = np.diff(angle)
+    start, neighbours = algebra.neighbours()
+    coordinate = forms.coordinate.astype(np.int64)
+    of_coordinate = np.bincount(coordinate, minlength=algebra.dim)
+    met = np.bincount(np.repeat(np.arange(algebra.dim), np.diff(start)), of_coordinate[neighbours], algebra.dim)
+    if int(count[first] @ count[second]) <= int(met[coordinate].sum()):
+        pair, product_index = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
+        f = angle[first[pair]] + product_index // count[second[pair]]
+        return pair, f, angle[second[pair]] + product_index % count[second[pair]]
+    order = np.argsort(coordinate, kind="stable")
+    begin, owner, part = starts_of(of_coordinate), forms.owner, parts.part_of_angle
+    codes = first * len(parts) + second
+    by_code = np.argsort(codes)
+    found = [np.zeros((3, 0), dtype=np.int64)]
+    for chunk in chunks(np.arange(len(coordinate)), met[coordinate].astype(np.int64)):
+        entry, index = expand(start[coordinate[chunk]], start[coordinate[chunk] + 1])
+        match, place = expand(begin[neighbours[index]], begin[neighbours[index] + 1])
+        f, g = owner[chunk][entry[match]], owner[order[place]]
+        code = part[f] * len(parts) + part[g]
+        at = np.minimum(np.searchsorted(codes[by_code], code), len(codes) - 1)
+        inside = codes[by_code][at] == code
+        found.append(np.unique(np.stack([by_code[at], f, g])[:, inside], axis=1))
+    pair, f, g = np.unique(np.concatenate(found, axis=1), axis=1)
+    return pair, f, g
 
 
 @lru_cache(maxsize=1024)

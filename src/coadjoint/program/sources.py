@@ -294,6 +294,7 @@ def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sourc
     others = {
         "offset": energy.of_coordinates(of_rest.astype(np.int64)),
         "weight": np.concatenate([energy.others, energy.of_coordinates(np.array(bodies, dtype=np.int64))]),
+        "coefficient": energy.others,
     }
     sums = {"offset": Sums(linear, energy.coordinate, energy.number, rules)}
     return Sources(multiples, sums, {**found.computed, **others})

@@ -91,11 +91,10 @@ class TermTable:
     def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
         """Add a polynomial of the given coordinates (constant monomials have no gradient)."""
         row_of = {coordinate: int(self._rows[-1][-1]) + k for k, coordinate in enumerate(coordinates)}
-        for exponents, coefficient in polynomial.monomials.items():
-            present = [(k, e) for k, e in enumerate(exponents) if e]
+        for _, coefficient, factors in polynomial._factors:
             self._coefficient.append(coefficient)
-            self._factor_row.extend(row_of[k] for k, _ in present)
-            self._exponent.extend(e for _, e in present)
+            self._factor_row.extend(row_of[k] for k in factors)
+            self._exponent.extend(factors.values())
             self._factor.append(len(self._exponent))
         self._add_empty_rows(POLYNOMIAL, coordinates)
 
@@ -117,8 +116,7 @@ class TermTable:
         self._add_rows(LINEAR, target, offset, weights)
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
-        self.add_polynomial(used, term.polynomial)
+        self.add_polynomial(sorted({k for _, _, factors in term.polynomial._factors for k in factors}), term.polynomial)
 
     def function(self, term: FunctionTerm) -> None:
         self.functions[len(self)] = term

@@ -35,7 +35,8 @@ from coadjoint.systems.energy_derivatives import (
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, SeparatePolynomial
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
     MOST_DISTANCES,
@@ -189,17 +190,16 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
     declared = _declaration(system, given)
     if declared is not None:
         return _of_declared(declared, {**system.parameters, **given})
-    return _with_values(_of_hamiltonian(system), given)
+    return _with_values(_of_hamiltonian(system.hamiltonian, system.dim), given)
 
 
 def _with_values(parameters: Mapping[str, Parameter], values: Mapping[str, Floats]) -> dict[str, Parameter]:
     return {name: one._replace(value=values.get(name, one.value)) for name, one in parameters.items()}
 
 
-def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
-    H = system.hamiltonian
+def _of_hamiltonian(H: Any, n: int) -> dict[str, Parameter]:
     if isinstance(H, Quadratic):
-        return _of_quadratic(H, system.dim)
+        return _of_quadratic(H, n)
     if isinstance(H, PolynomialHamiltonian):
         monomials = list(H.polynomial.monomials.items())
         derivative = [
@@ -207,7 +207,15 @@ def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
         ]
         value = np.array([float(coefficient) for _, coefficient in monomials])
         return {"coefficients": _linear(value, lambda: EnergyDerivative.of_monomials(len(derivative), derivative))}
+    if _is_form_and_polynomial(H):
+        form, polynomial = H.summands
+        return _of_hamiltonian(form, n) | _of_hamiltonian(polynomial, n)
     return {}
+
+
+def _is_form_and_polynomial(H: Any) -> bool:
+    kinds = [type(one) for one in getattr(H, "summands", ())]
+    return kinds == [Quadratic, SeparatePolynomial]
 
 
 def _linear(value: Floats, energy: Callable[[], EnergyDerivative], symmetric: bool = False) -> Parameter:
@@ -233,7 +241,9 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
         return found.in_numbers if system.has_matrices and system.shape == (system.dim,) else found
-    return with_hamiltonian(system, in_coordinates_of(system, _with_coefficients(system, values)))
+    return with_hamiltonian(
+        system, in_coordinates_of(system, _with_coefficients(system.hamiltonian, system.dim, values))
+    )
 
 
 def with_entry_moved(system: Any, name: str, parameter: Parameter, index: tuple[int, ...], by: float) -> Any:
@@ -247,12 +257,19 @@ def _builder_of(system: Any, names: Iterable[str]) -> Callable[..., Any] | None:
     return builder if builder is not None and set(names) <= set(system.parameters or {}) else None
 
 
-def _with_coefficients(system: Any, values: Mapping[str, Floats]) -> HamiltonianLike:
-    """Return the Hamiltonian of a system with other values of the parameters of `_of_hamiltonian`."""
-    H, n = system.hamiltonian, system.dim
+def _with_coefficients(H: Any, n: int, values: Mapping[str, Floats]) -> HamiltonianLike:
+    """Return a Hamiltonian with other values of the parameters of `_of_hamiltonian`."""
+    if _is_form_and_polynomial(H):
+        form, polynomial = H.summands
+        if values.keys() - {"coefficients"}:
+            form = _with_coefficients(form, n, values)
+        if "coefficients" in values:
+            polynomial = _with_coefficients(polynomial, n, values)
+        return SumOfHamiltonians([form, polynomial])
     if isinstance(H, PolynomialHamiltonian):
         coefficients = dict(zip(H.polynomial.monomials, values["coefficients"].tolist(), strict=True))
-        return as_hamiltonian(Polynomial(coefficients, dim=n), n)
+        moved = Polynomial(coefficients, dim=n)
+        return SeparatePolynomial(moved) if isinstance(H, SeparatePolynomial) else as_hamiltonian(moved, n)
     stored = H.bind(n).as_given()
     linear = values.get("linear", stored.linear)
     if "M" not in values:

@@ -126,3 +126,30 @@ def test_a_field_stands_along_its_axes_in_one_scale(given):
             # Interpolation in cells of 2 / 160 is wrong by an eighth of the square times the second derivative.
             assert low - 1e-4 <= own.min() and own.max() <= high + 1e-4
     assert axes.get_title() == f"w at $t$ = {T0 + 0.05:.4g}" and axes.get_xlim() == axes.get_ylim() == (0.0, 2.0)
+
+
+def test_bonds_of_a_crystal():
+    """Each bond between sites of the closed cell is a line of the colour of its class, seen from a direction."""
+    pytest.importorskip("gemmi")
+    sites = {"Cs": (0, 0, 0), "Cl": (0.5, 0.5, 0.5)}
+    salt = co.spins.crystal(lattice=(2, 2, 2, 90, 90, 90), sites=sites, space_group="P m -3 m")
+    bonds = salt.bonds(max_distance=2.0)
+    assert [bond.multiplicity for bond in bonds] == [8, 3, 3]
+    (axes,) = bonds.plot(view=(0, 0)).axes
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["1: Cs-Cl, 1.732", "2a: Cs-Cs, 2", "2b: Cl-Cl, 2", "Cs", "Cl"]
+    lines = [line for line in axes.lines if len(line.get_xdata()) == 2]
+    by_colour = {}
+    for line in lines:
+        by_colour.setdefault((line.get_color(), line.get_alpha()), []).append(line)
+    # The edges of the cell; from its centre to its corners; its edges again; and the centre to three neighbours.
+    assert sorted(map(len, by_colour.values())) == [3, 8, 12, 12]
+    assert len([line for line in axes.lines if len(line.get_xdata()) == 1]) == 8 + 1 + 3
+    # From the first axis, the second points to the right and the third up.
+    ends = {text.get_text(): text.get_position() for text in axes.texts}
+    assert ends["b"][0] > 2 and abs(ends["b"][1]) < 1e-9 and ends["c"][1] > 2 and abs(ends["c"][0]) < 1e-9
+    (fewer,) = bonds[:1].plot().axes
+    assert [text.get_text() for text in fewer.get_legend().get_texts()] == ["1: Cs-Cl, 1.732", "Cs", "Cl"]
+    for view in ((1, 2, 3), "side"):
+        with refused((ValueError, TypeError), "view"):
+            bonds.plot(view=view)

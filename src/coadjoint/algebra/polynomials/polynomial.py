@@ -390,6 +390,42 @@ class Polynomial:
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
 
 
+SparseKey = tuple[tuple[int, int], ...]
+"""Coordinates of a monomial, ascending, with their exponents."""
+SparseMonomials = dict[SparseKey, Any]
+
+
+class SparsePolynomial(Polynomial):
+    """A polynomial of few of many coordinates in each monomial, stored by coordinates with their exponents.
+
+    Its `monomials`, with an exponent for each coordinate, are made when they are read.
+    """
+
+    def __init__(self, monomials: Mapping[SparseKey, Coefficient], dim: int) -> None:
+        for factors, value in monomials.items():
+            if not is_finite(value):
+                raise ValueError(f"the coefficient of {short(factors)} overflows; it must stay within float64")
+
+        def order(factors: SparseKey) -> Any:
+            return sum(e for _, e in factors), [(i, -e) for i, e in factors]
+
+        self._dim = dim
+        self._factors = [(0, monomials[key], dict(key)) for key in sorted(monomials, key=order) if monomials[key] != 0]
+
+    @cached_property
+    def _monomials(self) -> dict[Exponents, Coefficient]:  # type: ignore[override]
+        check_available_memory(BYTES_PER_EXPONENT * self._dim * len(self._factors), "exponents of all coordinates")
+        return {tuple(factors.get(i, 0) for i in range(self._dim)): value for _, value, factors in self._factors}
+
+    @property
+    def degree(self) -> int:
+        return sum(self._factors[-1][2].values()) if self._factors else 0
+
+    @property
+    def _term_count(self) -> int:
+        return len(self._factors)
+
+
 @plain_form.register(Polynomial)
 def _(value: Polynomial) -> list[Any]:
     return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]

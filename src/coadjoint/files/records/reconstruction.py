@@ -29,6 +29,7 @@ from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.summable import SeparatePolynomial
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MAX_POWERS, MatrixSystem
@@ -205,7 +206,7 @@ def _polynomial_of(record: Entry, dim: int) -> Polynomial:
 def _hamiltonian_of(record: Entry, dim: int) -> Any:
     kind = record["kind"].text()
     if kind not in HAMILTONIANS:
-        raise record["kind"].invalid_error("'quadratic', 'polynomial', 'formula', 'split' or 'sum'")
+        raise record["kind"].invalid_error(", ".join(map(repr, HAMILTONIANS)))
     if kind not in ("split", "sum") and record["dim"].integer(1) != dim:
         raise record["dim"].invalid_error(f"{dim}, the number of its coordinates")
     return HAMILTONIANS[kind](record, dim)
@@ -259,10 +260,13 @@ def _quadratic_of(record: Entry, dim: int) -> Quadratic:
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)
 
 
+def _polynomial_record_of(record: Entry, dim: int) -> Polynomial:
+    return _polynomial_of(record.reject_unknown("kind", "dim", "monomials")["monomials"], dim)
+
+
 HAMILTONIANS: Mapping[str, Callable[[Entry, int], Any]] = {
-    "polynomial": lambda record, dim: _polynomial_of(
-        record.reject_unknown("kind", "dim", "monomials")["monomials"], dim
-    ),
+    "polynomial": _polynomial_record_of,
+    "separate polynomial": lambda record, dim: SeparatePolynomial(_polynomial_record_of(record, dim)),
     "quadratic": _quadratic_of,
     "formula": _function_of,
     "split": _split_of,

@@ -28,7 +28,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamil
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
-from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, SeparatePolynomial, Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -186,6 +186,8 @@ def _monomials(polynomial: Polynomial) -> list[list[Any]]:
 
 def _hamiltonian_record(H: HamiltonianLike, missing: list[str]) -> dict[str, Any]:
     match H:
+        case SeparatePolynomial():
+            return _polynomial_record(H.polynomial) | {"kind": "separate polynomial"}
         case PolynomialHamiltonian():
             return _polynomial_record(H.polynomial)
         case Quadratic():

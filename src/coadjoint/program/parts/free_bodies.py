@@ -60,7 +60,7 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
 
 def _quadratic_term(system: LiePoissonSystem) -> tuple[QuadraticTerm | None, list[Term], list[Term]]:
     """Return the quadratic term outside of pieces, or None, and those before and after it; polynomials are split."""
-    terms = [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
+    terms = [piece for term in system.hamiltonian.terms() for piece in by_degree(term)]
     position = quadratic_position(terms)
     return (None, terms, []) if position is None else (terms[position].form, terms[:position], terms[position + 1 :])
 
@@ -73,7 +73,7 @@ def _remainder(form: QuadraticTerm, remaining: NDArray[np.bool_], linear: NDArra
     return [QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)]
 
 
-def _by_degree(term: Term) -> Iterable[Term]:
+def by_degree(term: Term) -> Iterable[Term]:
     """Yield the piece of degree two or less of a polynomial and the rest; other terms unchanged."""
     if not isinstance(term, PolynomialTerm) or term.piece is not None:
         yield term

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, connected, distinct
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial, SparseKey, SparseMonomials, SparsePolynomial
 from coadjoint.program.commutation import few_parts, first_noncommuting, has_noncommuting, noncommuting
 from coadjoint.program.generators import NotSplittable, check_products
 from coadjoint.program.parts.part import GradientShare, Parts
+from coadjoint.program.parts.powers_of_forms import MAX_DEGREE, parts_of_powers
 from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
 from coadjoint.program.separated_parts import joined_if_cancelling
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows, order_by, run_starts, starts_of
@@ -330,32 +331,44 @@ def _atoms(system: LiePoissonSystem, terms: Sequence[Term], separate: bool) -> P
 
 def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate: bool) -> Parts:
     size = polynomial.dim
-    variables = {e: [k for k, power in enumerate(e) if power] for e in polynomial.monomials if sum(e)}
+    found = {tuple(factors.items()): value for _, value, factors in polynomial._factors if factors}
     used = np.zeros(size, dtype=bool)
-    used[[k for names in variables.values() for k in names]] = True
-    links = [(names[0], variable) for names in variables.values() for variable in names[1:]]
+    used[[k for key in found for k, _ in key]] = True
+    links = [(key[0][0], k) for key in found for k, _ in key[1:]]
     label = connected(size, *np.array(links, dtype=np.int64).reshape(-1, 2).T)
-    monomials: dict[int, dict[tuple[int, ...], Any]] = {int(k): {} for k in distinct(label[used])}
-    for e, names in variables.items():
-        monomials[int(label[names[0]])][e] = polynomial.monomials[e]
+    monomials: dict[int, SparseMonomials] = {int(k): {} for k in distinct(label[used])}
+    for key, value in found.items():
+        monomials[int(label[key[0][0]])][key] = value
     members = {k: np.flatnonzero(used & (label == k)).tolist() for k in monomials}
     atoms = []
     for k, cluster in members.items():
         terms = monomials[k]
         if first_noncommuting(system.algebra, cluster) is None and not (separate and len(cluster) > 1):
-            atoms.append(Parts.single(GradientShare(tuple(cluster), Polynomial(terms))))
+            atoms.append(Parts.single(GradientShare(tuple(cluster), SparsePolynomial(terms, size))))
             continue
-        low = {e: c for e, c in terms.items() if sum(e) <= 2}
+        low = {key: value for key, value in terms.items() if _degree(key) <= 2}
         if low:
-            (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
+            form = Quadratic.from_polynomial(SparsePolynomial(low, size)).terms()[0].form
             assert form is not None
             atoms.append(quadratic_atoms(form, system.algebra, separate))
-        for exponents in (e for e in terms if sum(e) > 2):
-            _check_monomial(system, exponents, terms[exponents])
-            atoms.append(
-                Parts.single(GradientShare(tuple(variables[exponents]), Polynomial({exponents: terms[exponents]})))
-            )
+        high = {key: value for key, value in terms.items() if key not in low}
+        if any(first_noncommuting(system.algebra, [i for i, _ in key]) is not None for key in high):
+            for key, value in high.items():
+                _check_monomial(system, key, value)
+            # The parts after each shift by Casimirs have the same powers.
+            cache = _POWERS_CACHE.setdefault(system, {})
+            if (id(polynomial), k) not in cache:
+                cache[id(polynomial), k] = polynomial, parts_of_powers(system.algebra, high, size)
+            atoms += cache[id(polynomial), k][1]
+            continue
+        for key, value in high.items():
+            share = GradientShare(tuple(i for i, _ in key), SparsePolynomial({key: value}, size))
+            atoms.append(Parts.single(share))
     return Parts.concatenate(atoms)
+
+
+def _degree(key: SparseKey) -> int:
+    return sum(e for _, e in key)
 
 
 def separated_terms(system: LiePoissonSystem, term: FunctionTerm) -> tuple[Term, ...]:
@@ -393,6 +406,8 @@ def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]
 # Systems are immutable. Functions are stored with their identities, so that these stay unique.
 Separated = tuple[Any, tuple[Term, ...], str | None]
 _SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, Separated]] = WeakKeyDictionary()
+_POWERS_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[tuple[int, int], tuple[Polynomial, list[Parts]]]]
+_POWERS_CACHE = WeakKeyDictionary()
 
 
 def check_splits(system: LiePoissonSystem) -> None:
@@ -402,9 +417,8 @@ def check_splits(system: LiePoissonSystem) -> None:
         check_width(term, system.algebra)
 
     def polynomial(term: PolynomialTerm) -> None:
-        for exponents, coefficient in term.polynomial.monomials.items():
-            if sum(exponents) > 2:
-                _check_monomial(system, exponents, coefficient)
+        for _, coefficient, factors in term.polynomial._factors:
+            _check_monomial(system, tuple(factors.items()), coefficient)
 
     for term in system.hamiltonian.terms():
         if type(term) is QuadraticTerm:
@@ -413,11 +427,14 @@ def check_splits(system: LiePoissonSystem) -> None:
             _read(system, term, quadratic, polynomial, lambda _: None)
 
 
-def _check_monomial(system: LiePoissonSystem, exponents: tuple[int, ...], coefficient: Any) -> None:
-    noncommuting = first_noncommuting(system.algebra, [k for k, power in enumerate(exponents) if power])
+def _check_monomial(system: LiePoissonSystem, key: SparseKey, coefficient: Any) -> None:
+    if _degree(key) <= MAX_DEGREE:
+        return  # it is a sum of powers of forms
+    noncommuting = first_noncommuting(system.algebra, [k for k, _ in key])
     if noncommuting is not None:
-        shown = short(in_coordinates_of(system, Polynomial({exponents: coefficient})))
-        raise _not_splittable(system, f"its monomial {shown}", noncommuting)
+        shown = short(in_coordinates_of(system, SparsePolynomial({key: coefficient}, system.dim)))
+        what = f"its monomial {shown}, of a degree above {MAX_DEGREE},"
+        raise _not_splittable(system, what, noncommuting)
 
 
 def _not_splittable(

@@ -20,7 +20,7 @@ Integers = npt.NDArray[np.int64]
 MIN_ROWS = 1 << 12  # smallest number of rows that are compared
 MIN_REPEATS = 8  # smallest mean number of rows of a shape
 SAMPLE = 1 << 12  # rows of which the number of shapes is counted first
-BLOCK = 1 << 17  # rows whose entries are held in memory at once
+BLOCK = 1 << 15  # rows whose entries are held in memory at once
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 

@@ -248,12 +248,11 @@ class PolynomialTerm:
     @property
     def multiplications(self) -> int:
         """Sum over monomials: each factor needs all of its powers."""
-        exponents = [[e for e in monomial if e] for monomial in self.polynomial.monomials]
-        return sum(len(e) * sum(e) for e in exponents)
+        return sum(len(factors) * sum(factors.values()) for _, _, factors in self.polynomial._factors)
 
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
         """Yield the variables of each monomial."""
-        yield from (np.flatnonzero(exponents) for exponents in self.polynomial.monomials)
+        yield from (np.array([*factors], dtype=np.int64) for _, _, factors in self.polynomial._factors)
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> PolynomialTerm:
         """Return the polynomial in other variables."""
@@ -268,8 +267,7 @@ class PolynomialTerm:
     @property
     def used(self) -> npt.NDArray[Any]:
         """Variables of the monomials."""
-        exponents = np.array(list(self.polynomial.monomials)).reshape(-1, self.polynomial.dim)
-        return np.flatnonzero(np.any(exponents > 0, axis=0))
+        return np.array(sorted({k for _, _, factors in self.polynomial._factors for k in factors}), dtype=np.int64)
 
     def gradient_entry(self, entry: int, x: npt.NDArray[Any], t: Any) -> Any:
         """Return an entry of the gradient of the polynomial."""

@@ -21,6 +21,9 @@ Integers = npt.NDArray[np.int64]
 Rows = tuple[Integers, npt.NDArray[np.uint32], Floats]
 
 
+NEIGHBOURS_AT_ONCE = 1 << 16  # that are decoded together
+
+
 class Blocks(NamedTuple):
     """Matrices of edges or of sites: the distinct ones, (k, 3, 3), and the number of that of each edge or site."""
 
@@ -74,10 +77,11 @@ def _equal_rows(sites: int, edges: Integers, coupling: Blocks, on_site: Blocks) 
     if not alike or 3 * sites < MIN_ROWS or not (couples or acts):
         return None
     turned = np.arange(kinds)[:, None] * 2 + np.array([0, 1])  # codes of a matrix, and of its transpose
+    turned = turned.astype(np.min_scalar_type(2 * kinds + own))
     same = np.all(coupling.distinct == np.swapaxes(coupling.distinct, 1, 2), axis=(1, 2))
     turned[same, 1] = turned[same, 0]
     blocks = [*np.stack([coupling.distinct, np.swapaxes(coupling.distinct, 1, 2)], axis=1).reshape(-1, 3, 3)]
-    codes = turned[coupling.number]
+    codes: npt.NDArray[Any] = turned[coupling.number]
     own_codes = 2 * kinds + on_site.number if acts else None
     start, columns, code = _neighbours(sites, edges if couples else edges[:0], codes, own_codes, 2 * kinds + own)
     blocks += [*on_site.distinct]
@@ -99,8 +103,8 @@ def _equal_rows(sites: int, edges: Integers, coupling: Blocks, on_site: Blocks) 
 
 
 def _neighbours(
-    sites: int, edges: Integers, codes: Integers, own: Integers | None, count: int
-) -> tuple[Integers, npt.NDArray[np.uint32], npt.NDArray[np.uint32]]:
+    sites: int, edges: Integers, codes: npt.NDArray[Any], own: Integers | None, count: int
+) -> tuple[Integers, npt.NDArray[np.uint32], npt.NDArray[Any]]:
     """Return the sorted neighbours of all sites in compressed sparse rows, and codes of the matrices, below `count`."""
     m, first, second = len(edges), edges[:, 0], edges[:, 1]
     keys = np.empty(2 * m + (0 if own is None else sites), dtype=np.int64)
@@ -109,11 +113,15 @@ def _neighbours(
     if own is not None:
         keys[2 * m :] = np.arange(sites) * (sites + 1) * count + own
     keys.sort()
-    code = keys % count
-    keys //= count
-    site = keys // sites
-    keys -= site * sites
-    return starts_of_rows(site, sites), keys.astype(np.uint32), code.astype(np.uint32)
+    # In pieces, since arrays of all neighbours are most of the memory of a large lattice.
+    columns, code = np.empty(len(keys), dtype=np.uint32), np.empty(len(keys), dtype=codes.dtype)
+    lengths = np.zeros(sites, dtype=np.int64)
+    for begin in range(0, len(keys), NEIGHBOURS_AT_ONCE):
+        piece = slice(begin, begin + NEIGHBOURS_AT_ONCE)
+        pair, code[piece] = np.divmod(keys[piece], count)
+        site, columns[piece] = np.divmod(pair, sites)
+        lengths[site[0] : site[-1] + 1] += np.bincount(site - site[0])
+    return np.concatenate([[0], np.cumsum(lengths)]), columns, code
 
 
 def _rows(sites: int, edges: Integers, coupling: Blocks, on_site: Blocks) -> Rows:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.bonds import Bond, Bonds, Site
+from coadjoint.systems.lattices.bonds import Bond, Bonds, Cell, Site
 from coadjoint.systems.lattices.space_groups import (
     SymmetryOperations,
     fits,
@@ -208,7 +208,7 @@ class Crystal:
                 bonds.append(self._class_of(key))
                 for (i, j), n in zip(bonds[-1].sites.tolist(), bonds[-1].offsets.tolist(), strict=True):
                     seen.update([(i, j, *n), (j, i, *(-m for m in n))])
-        return Bonds(self._named(bonds))
+        return Bonds(self._named(bonds), Cell(self.lattice, self.labels, self.positions))
 
     def _named(self, bonds: list[Bond]) -> list[Bond]:
         bonds = sorted(bonds, key=lambda bond: bond.distance)

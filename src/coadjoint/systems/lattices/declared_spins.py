@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,6 +12,8 @@ import numpy.typing as npt
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.spin_lattice import MAX_COUPLING
+from coadjoint.systems.lattices.spin_polynomials import SitePolynomial
+from coadjoint.systems.lattices.twists import Twist
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -84,10 +87,21 @@ class ExchangeTable:
 
 
 class Anisotropy(NamedTuple):
-    """Single-ion matrices of sites of a cell, that act on unit vectors."""
+    """Single-ion matrices of sites of a cell, and site, degree and polynomial of Stevens functions, of unit vectors."""
 
+    what: str
     sites: Integers
     matrices: Floats
+    polynomials: tuple[tuple[int, int, SitePolynomial], ...]
+    text: str
+
+
+class Biquadratic(NamedTuple):
+    """Strengths K of K (S_i . S_j)^2 of bonds of a cell, of unit vectors; `bonds` (k, 5) are sites and offsets."""
+
+    bond: str
+    bonds: Integers
+    strengths: Floats
     text: str
 
 
@@ -110,9 +124,11 @@ class Declaration:
     units: str
     spin: Floats  # of the sites of a cell
     g: Floats
+    twist: Twist | None = None
     occupied: Integers | None = None
     substitutions: tuple[Substitution, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    biquadratics: tuple[Biquadratic, ...] = ()
     anisotropies: tuple[Anisotropy, ...] = ()
     field: Any = None
     dipolar: bool = False
@@ -129,9 +145,18 @@ def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, 
                 total[back] = total[back] + matrix.T
             else:
                 total[key] = total[key] + matrix if key in total else matrix
-            owner.setdefault(key, coupling.bond)
+                owner.setdefault(key, coupling.bond)
+    check_joined_once(declared, owner)
+    known: dict[bytes, int] = {}
+    kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
+    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
+    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
+
+
+def check_joined_once(declared: Declaration, owner: Mapping[tuple[int, ...], str]) -> None:
+    """Raise ValueError if bonds of a cell, with names, join two sites of a periodic lattice twice."""
     seen: dict[tuple[int, ...], tuple[int, ...]] = {}
-    for key in total:
+    for key in owner:
         for i, j, *n in (key, (key[1], key[0], *(-m for m in key[2:]))):
             wrapped = [
                 m % size if flag else m for m, size, flag in zip(n, declared.size, declared.periodic, strict=True)
@@ -140,10 +165,6 @@ def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, 
             other = (i, i, 0, 0, 0) if i == j and not any(wrapped) else seen.setdefault(place, (i, j, *n))
             if other != (i, j, *n):
                 raise _cut_twice(declared, owner[key], (i, j, *n), other)
-    known: dict[bytes, int] = {}
-    kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
-    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
-    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
 
 
 def _cut_twice(declared: Declaration, name: str, bond: tuple[int, ...], other: tuple[int, ...]) -> ValueError:

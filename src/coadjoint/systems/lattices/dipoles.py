@@ -1,4 +1,4 @@
-"""The dipolar energy of spins on cells by FFT: open lattices, and periodic ones by Ewald's sums."""
+"""The dipolar energy of spins on cells by FFT: open lattices, and periodic ones and films by Ewald's sums."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXPONENT = 38.0  # beyond which exp(-x) is below round-off of the sums
 
 
 class DipolarCells(NamedTuple):
-    """Cells of dipoles: edges (axes, 3) and sites (s, 3) in space, cells along each axis, whether they repeat.
+    """Cells of dipoles: edges (axes, 3) and sites (s, 3) in space, cells along each axis, which of them repeat.
 
     `moments` (s,) multiply the spins of each site of a cell, `occupied` are the numbers of the sites that have a spin,
     None for all, and `factors` multiply single spins; None for 1.
@@ -33,7 +33,7 @@ class DipolarCells(NamedTuple):
     edges: Floats
     sites: Floats
     sizes: tuple[int, ...]
-    periodic: bool
+    periodic: tuple[bool, ...]
     moments: Floats
     occupied: Integers | None = None
     factors: Floats | None = None
@@ -47,16 +47,18 @@ class DipolarCells(NamedTuple):
         """The sizes of the axes, with zeros behind open ones, so that the ends do not meet."""
         import scipy.fft
 
-        if self.periodic:
-            return self.sizes
-        return tuple(scipy.fft.next_fast_len(2 * size - 1, real=True) for size in self.sizes)
+        return tuple(
+            size if closed else scipy.fft.next_fast_len(2 * size - 1, real=True)
+            for size, closed in zip(self.sizes, self.periodic, strict=True)
+        )
 
     def tensors(self) -> npt.NDArray[np.complex128]:
         """Return the transforms of m m' (1 - 3 e e) / r^3 between sites of cells, (s, s', 3, 3, padded axes)."""
         count = len(self.sites) ** 2 * 9 * math.prod(self.padded)
         check_available_memory(24 * count, "dipolar tensors of all pairs of sites of cells")
         pairs = (self.moments[:, None] * self.moments)[(..., *(None,) * (2 + len(self.sizes)))]
-        return np.asarray(pairs * (_periodic_tensors(self) if self.periodic else _open_tensors(self)))
+        of_kind = _periodic_tensors if all(self.periodic) else _film_tensors if any(self.periodic) else _open_tensors
+        return np.asarray(pairs * of_kind(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +119,12 @@ class DipolarFunction:
         cells = np.indices(sizes).reshape(len(sizes), -1).T
         here = np.arange(len(cells) * len(sites)) if occupied is None else occupied
         cell, site = cells[here // len(sites)], here % len(sites)
-        if periodic:
+        if any(periodic):
             import scipy.fft
 
-            values = scipy.fft.irfftn(self.tensors, sizes, axes=self.cells.axes)
-            steps = np.moveaxis((cell[:, None] - cell) % np.array(sizes), -1, 0)
+            padded = self.cells.padded
+            values = scipy.fft.irfftn(self.tensors, padded, axes=self.cells.axes)
+            steps = np.moveaxis((cell[:, None] - cell) % np.array(padded), -1, 0)
             tensors = self.strength * values[(site[:, None], site, slice(None), slice(None), *steps)]
         else:
             positions = cell @ edges + sites[site]
@@ -150,18 +153,13 @@ def _open_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
     return np.asarray(scipy.fft.rfftn(np.moveaxis(tensors, (-2, -1), (2, 3)), axes=cells.axes))
 
 
-def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
-    """Return Ewald's sums of periodic cells in space, without a demagnetization field (a surrounding conductor)."""
-    import scipy.fft
+def _near_tensors(cells: DipolarCells, alpha: float) -> Floats:
+    """Return the sum in space of Ewald's sums, (padded axes, s, s', 3, 3), with what a dipole has of itself."""
     from scipy.special import erfc
 
-    edges, sites, sizes = cells.edges, cells.sites, cells.sizes
-    count = len(sites)
-    inverse = np.linalg.inv(edges)
-    volume = 1.0 / abs(float(np.linalg.det(inverse)))
-    alpha = math.sqrt(math.pi) / volume ** (1.0 / 3.0)
+    edges, sites, sizes = cells.edges, cells.sites, cells.padded
+    count, inverse = len(sites), np.linalg.inv(edges)
     steps = sites[:, None] - sites
-    # Near: the sum in space, of displacements shorter than `reach`.
     reach = math.sqrt(EXPONENT) / alpha
     near = np.zeros((*sizes, count, count, 3, 3))
     within = steps @ inverse
@@ -170,6 +168,10 @@ def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
         for bound, low, high in zip(
             reach * np.sqrt((inverse**2).sum(axis=0)), within.min(axis=(0, 1)), within.max(axis=(0, 1)), strict=True
         )
+    ]
+    spans = [
+        span if closed else range(max(span.start, 1 - size), min(span.stop, size))
+        for span, size, closed in zip(spans, cells.sizes, cells.periodic, strict=True)
     ]
     for offset in itertools.product(*spans):
         r = steps + np.array(offset) @ edges
@@ -183,6 +185,76 @@ def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
         tensor = even[..., None, None] * np.eye(3) - odd[..., None, None] * r[..., :, None] * r[..., None, :]
         tensor[own] = -4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * np.eye(3)
         near[tuple(np.array(offset) % np.array(sizes))] += tensor
+    return near
+
+
+def _film_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
+    """Return Ewald's sums of cells that repeat along two axes, in space, of a film without others above or below."""
+    import scipy.fft
+    from scipy.special import erfc, erfcx
+
+    (first, second), (open_axis,) = (
+        [axis for axis, closed in enumerate(cells.periodic) if closed is flag] for flag in (True, False)
+    )
+    a, b = cells.edges[first], cells.edges[second]
+    across = np.cross(a, b)
+    area = math.sqrt(float((across**2).sum()))
+    normal = across / area
+    reciprocal = 2.0 * math.pi * np.stack([np.cross(b, normal), np.cross(normal, a)]) / area
+    alpha = math.sqrt(math.pi / area)
+    near = _near_tensors(cells, alpha)
+    # Far: the sum over reciprocal vectors k of the plane, for each distance of layers.
+    layers = np.fft.fftfreq(cells.padded[open_axis], 1.0 / cells.padded[open_axis])
+    r = (cells.sites[:, None] - cells.sites)[:, :, None] + layers[:, None] * cells.edges[open_axis]
+    z = r @ normal  # (s, s', layers)
+    waves = [np.fft.fftfreq(cells.sizes[axis]) for axis in (first, second)]
+    cell_waves = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1)
+    bound = 2.0 * alpha * math.sqrt(EXPONENT)
+    reaches = [math.ceil(bound * float(np.sqrt((edge**2).sum())) / (2.0 * math.pi) + 0.5) for edge in (a, b)]
+    gauss = np.exp(-((alpha * z) ** 2))
+    far = np.zeros((*cell_waves.shape[:2], *z.shape, 3, 3), dtype=np.complex128)
+
+    def half(k: Floats, side: float) -> Floats:
+        """Return exp(side k z) erfc(k / (2 alpha) + side alpha z), which is finite."""
+        u = k / (2.0 * alpha) + side * alpha * z
+        beside = np.exp(-((k / (2.0 * alpha)) ** 2)) * gauss * erfcx(np.maximum(u, 0.0))
+        return np.where(u >= 0.0, beside, np.exp(np.minimum(side * k * z, 0.0)) * erfc(np.minimum(u, 0.0)))
+
+    for whole in itertools.product(*(range(-n, n + 1) for n in reaches)):
+        vectors = (cell_waves + np.array(whole)) @ reciprocal
+        k = np.sqrt(np.sum(vectors**2, axis=-1))[..., None, None, None]
+        if k.min() > bound:
+            continue
+        above, below = half(k, 1.0), half(k, -1.0)
+        falling = 4.0 * alpha / math.sqrt(math.pi) * np.exp(-((k / (2.0 * alpha)) ** 2)) * gauss
+        along = vectors[..., None, None, None, :] / np.where(k > 0.0, k, 1.0)[..., None]
+        straight = normal * np.ones_like(along)
+        # Second derivatives of pi / (area k) exp(i k . r) (above + below).
+        mixed = along[..., :, None] * straight[..., None, :]
+        second_derivatives = -(k * (above + below))[..., None, None] * (along[..., :, None] * along[..., None, :])
+        second_derivatives = second_derivatives + 1j * (k * (above - below))[..., None, None] * (
+            mixed + np.swapaxes(mixed, -1, -2)
+        )
+        second_derivatives += (k * (above + below) - falling)[..., None, None] * (normal[:, None] * normal)
+        phase = np.exp(1j * np.tensordot(vectors, r, axes=(-1, -1)))
+        far -= math.pi / area * phase[..., None, None] * second_derivatives
+    # The transform divides by the number of cells in the plane, of which the whole area is that of all.
+    in_space = scipy.fft.ifftn(far, axes=(0, 1)).real
+    in_space = np.moveaxis(in_space, (0, 1, 4, 2, 3), (first, second, open_axis, 3, 4))
+    total = near + in_space
+    return np.asarray(scipy.fft.rfftn(np.moveaxis(total, (-4, -3, -2, -1), (0, 1, 2, 3)), axes=cells.axes))
+
+
+def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
+    """Return Ewald's sums of periodic cells in space, without a demagnetization field (a surrounding conductor)."""
+    import scipy.fft
+
+    edges, sites, sizes = cells.edges, cells.sites, cells.sizes
+    inverse = np.linalg.inv(edges)
+    volume = 1.0 / abs(float(np.linalg.det(inverse)))
+    alpha = math.sqrt(math.pi) / volume ** (1.0 / 3.0)
+    steps = sites[:, None] - sites
+    near = _near_tensors(cells, alpha)
     found = scipy.fft.rfftn(np.moveaxis(near, (-4, -3, -2, -1), (0, 1, 2, 3)), axes=cells.axes)
     # Far: the sum over reciprocal vectors, of which the mean field of the sample has none.
     reciprocal = 2.0 * math.pi * inverse.T
@@ -226,7 +298,8 @@ def named_cells(lattice: str, shape: Any, periodic: Any) -> DipolarCells:
             "periodic=False; co.systems.spins has periodic ones"
         )
     edges, sites = (_in_space(part) for part in CELLS[lattice][:2])
-    return DipolarCells(edges, sites, sizes_of(shape), False, np.ones(len(sites)))
+    sizes = sizes_of(shape)
+    return DipolarCells(edges, sites, sizes, (False,) * len(sizes), np.ones(len(sites)))
 
 
 def _in_space(vectors: Any) -> Floats:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -19,22 +20,27 @@ from coadjoint.systems.lattices.crystals import Crystal, label_of
 from coadjoint.systems.lattices.declared_spins import (
     UNITS,
     Anisotropy,
+    Biquadratic,
     Coupling,
     Declaration,
     ExchangeTable,
     Substitution,
     cells_text,
+    check_joined_once,
     check_sizes,
     merged_bonds,
 )
 from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
 from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, edges_of_bonds
+from coadjoint.systems.lattices.space_groups import product
 from coadjoint.systems.lattices.spin_lattice import (
     MAX_STORED_VALUES,
     on_spins,
     precession,
     total_spins,
 )
+from coadjoint.systems.lattices.spin_polynomials import polynomial_of_spins, propagated, read_stevens
+from coadjoint.systems.lattices.twists import Twist, windings
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
@@ -58,6 +64,8 @@ class SpinModel(LiePoissonSystem):
         Cells along the three lattice vectors.
     periodic : tuple of bool
         Whether the lattice is periodic along each.
+    twist : tuple of float
+        Angles by which the spins are turned beyond the ends; zeros without a twist.
     units : str
         ``"natural"`` or ``"meV"``.
     spin, moments : (sites,) array
@@ -78,13 +86,18 @@ class SpinModel(LiePoissonSystem):
         edges, blocks, field, driven = self._edges(sites)
         occupied = declared.occupied
         count = sites if occupied is None else len(occupied)
+        if declared.twist is not None:
+            self._check_invariant(declared.twist)
         matrices = np.zeros((cell, 3, 3))
+        quartic = bool(declared.biquadratics) or any(one.polynomials for one in declared.anisotropies)
         for anisotropy in declared.anisotropies:
             matrices[anisotropy.sites] += anisotropy.matrices
         on_site = self._scaled_by_lengths(Blocks(matrices, self.sites), (np.arange(count),))
         if not np.any(matrices):
             on_site = Blocks(np.zeros((1, 3, 3)), np.broadcast_to(np.int64(0), count))
         H: Any = coupled_spins(count, edges, blocks, Blocks(2.0 * on_site.distinct, on_site.number), -field)
+        if quartic:
+            H = H + self._polynomial(count)
         uniform = None
         if driven is not None:
             driving, uniform = driving_field(driven, count)
@@ -96,19 +109,22 @@ class SpinModel(LiePoissonSystem):
                 declared.crystal.lattice,
                 declared.crystal.positions @ declared.crystal.lattice,
                 declared.size,
-                declared.periodic[0],
+                declared.periodic,
                 moments,
                 occupied,
                 factors,
             )
             H = H + dipolar_energy(cells, units.dipole)
         mu = units.hbar * (self.spin if np.ptp(declared.spin) or declared.substitutions else declared.spin[0])
-        plain = driven is None and not declared.dipolar
+        plain = driven is None and not declared.dipolar and not quartic
         J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
         exact = precession(count, edges, J, T if len(edges) else np.zeros((3, 3)), K, field, mu) if plain else None
-        integrals = (
-            {} if declared.dipolar else KnownInvariants(total_spins(count, T, np.zeros(3), K, field, uniform, mu))
-        )
+        # A function of z alone leaves the rotations about it, as its square does.
+        exponents = [key for one in declared.anisotropies for *_, terms in one.polynomials for key in terms]
+        axial = np.diag([0.0, 0.0, float(bool(exponents))])
+        known = not declared.dipolar and not any(key[0] or key[1] for key in exponents)
+        total = partial(total_spins, count, T, np.zeros(3), np.concatenate([K, axial[None]]), field, uniform, mu)
+        integrals = KnownInvariants(total()) if known else {}
         super().__init__(
             hamiltonian=H,
             **on_spins(count, mu),
@@ -127,6 +143,10 @@ class SpinModel(LiePoissonSystem):
         cell = len(declared.crystal.labels)
         by_bond = edges_of_bonds(cell, [(i, j, tuple(n)) for i, j, *n in bonds], declared.size, declared.periodic)
         numbers = np.repeat(np.array(kinds, dtype=np.int64), [len(part) for part in by_bond])
+        if declared.twist is not None:
+            turns, turn = self._turns(bonds)
+            distinct = product(distinct[:, None], turns).reshape(-1, 3, 3)
+            numbers = numbers * len(turns) + turn
         edges = np.concatenate([np.zeros((0, 2), dtype=np.int64), *by_bond])
         if declared.occupied is not None:
             new = np.full(sites, -1)
@@ -144,6 +164,57 @@ class SpinModel(LiePoissonSystem):
             return edges, blocks, np.zeros(3), _scaled(field, moments, len(self.sites))
         field = moments[:, None] * field
         return edges, blocks, field[0] if len(field) == 1 else field, None
+
+    def _turns(self, bonds: Sequence[tuple[int, ...]]) -> tuple[Floats, Integers]:
+        """Return the distinct rotations of second spins of bonds of a cell, and the number of that of each edge."""
+        declared = self._declared
+        crossed = [windings(tuple(n), declared.size, declared.periodic) for _, _, *n in bonds]
+        joined = np.concatenate([np.zeros((0, 3), dtype=np.int64), *crossed])
+        if declared.twist is None or not len(joined):
+            return np.eye(3)[None], np.zeros(len(joined), dtype=np.int64)
+        return declared.twist.matrices(joined)
+
+    def _check_invariant(self, twist: Twist) -> None:
+        """Raise ValueError for terms that rotations about the axis of a twist change."""
+        declared = self._declared
+        for coupling in declared.couplings:
+            twist.check_matrices(coupling.matrices, f"{coupling.what} on bond {coupling.bond}")
+        for anisotropy in declared.anisotropies:
+            what = f"single_ion on {anisotropy.text.partition(':')[0]}"
+            twist.check_matrices(anisotropy.matrices, what)
+            for *_, polynomial in anisotropy.polynomials:
+                twist.check_polynomial(polynomial, what)
+        if declared.field is not None:
+            twist.check_field(declared.field)
+        if declared.dipolar:
+            raise ValueError("dipolar is given for a twisted lattice, whose rotations change it; give no twist")
+
+    def _polynomial(self, count: int) -> Any:
+        """Return the terms of degree four and six."""
+        declared = self._declared
+        sites = len(declared.crystal.labels) * math.prod(declared.size)
+        ratios = np.zeros(sites)
+        ratios[self._numbers] = self.spin / declared.spin[self.sites]
+        new = np.full(sites, -1)
+        new[self._numbers] = np.arange(count)
+        edges, strengths, owner = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], dict[tuple[int, ...], str]()
+        for one in declared.biquadratics:
+            bonds = [(i, j, tuple(n)) for i, j, *n in one.bonds.tolist()]
+            owner |= {(i, j, *n): one.bond for i, j, n in bonds}
+            by_bond = edges_of_bonds(len(declared.crystal.labels), bonds, declared.size, declared.periodic)
+            edges += by_bond
+            strengths += [np.full(len(part), K) for part, K in zip(by_bond, one.strengths.tolist(), strict=True)]
+        check_joined_once(declared, owner)
+        joined = np.concatenate(edges)
+        scaled = np.concatenate(strengths) * np.prod(ratios[joined] ** 2, axis=1)
+        turns, turn = self._turns([bond for one in declared.biquadratics for bond in map(tuple, one.bonds.tolist())])
+        present = np.all(new[joined] >= 0, axis=1)
+        on_sites = []
+        for anisotropy in declared.anisotropies:
+            for site, degree, polynomial in anisotropy.polynomials:
+                numbers = np.flatnonzero(self.sites == site)
+                on_sites.append((numbers, ratios[self._numbers[numbers]] ** degree, polynomial))
+        return polynomial_of_spins(count, new[joined[present]], scaled[present], (turns, turn[present]), on_sites)
 
     def _scaled_by_lengths(self, blocks: Blocks, ends: tuple[Integers, ...]) -> Blocks:
         """Return matrices of edges (two ends) or sites (one) times the ratios of the lengths of substituted spins."""
@@ -169,6 +240,11 @@ class SpinModel(LiePoissonSystem):
     def periodic(self) -> tuple[bool, bool, bool]:
         """Whether the lattice is periodic along each lattice vector."""
         return self._declared.periodic
+
+    @property
+    def twist(self) -> tuple[float, float, float]:
+        """Angles by which spins are turned beyond the ends along the lattice vectors; zeros without a twist."""
+        return self._declared.twist.angles if self._declared.twist else (0.0, 0.0, 0.0)
 
     @property
     def units(self) -> str:
@@ -288,17 +364,18 @@ class SpinModel(LiePoissonSystem):
             "dzyaloshinskii_moriya", bond, bond.exchange(antisymmetric(vector)), f"D = {vector.tolist()}"
         )
 
-    def single_ion(self, site: str | int, matrix: Any) -> Self:
-        """Return the model with the energy ``S_i . A S_i`` of a site and all equivalent ones.
+    def biquadratic(self, bond: Bond, K: float) -> Self:
+        """Return the model with the energy ``K (S_i . S_j)^2`` of a bond and all equivalent ones.
+
+        It is that of classical spins of the lengths S, as of Sunny's mode `:dipole_uncorrected`. In operators of
+        quantum spins, and in its mode `:dipole`, K is ``K (1 - 1/(2 S))^2 (S_i . S_j)^2 - K S_i . S_j / 2``.
 
         Parameters
         ----------
-        site : str or int
-            A label, the element of one label only, or the number of a site of the cell, as for ``crystal.site``, whose
-            ``print`` shows the allowed matrices.
-        matrix : (3, 3) array_like
-            A, symmetric, in the Cartesian frame of the lattice (energy for spins of length S). An easy axis has a
-            negative entry: ``np.diag([0, 0, -D])``.
+        bond : Bond
+            One of ``crystal.bonds(max_distance)``.
+        K : float
+            An energy for spins of lengths S: K < 0 prefers parallel and antiparallel spins, K > 0 perpendicular ones.
 
         Returns
         -------
@@ -307,7 +384,62 @@ class SpinModel(LiePoissonSystem):
         Raises
         ------
         ValueError, TypeError
-            An unknown site, or one that has a matrix already; a matrix that symmetry forbids, with the allowed form.
+            As for `exchange`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> chain = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"Cu": (0, 0, 0)})
+        >>> model = co.systems.spins(chain, (4, 1, 1)).biquadratic(chain.bonds(1)["1"], -0.1)
+        >>> round(model.energy([0, 0, 1, 0, 0, -1] * 2), 12)            # antiparallel neighbours
+        -0.4
+        """
+        self._check_bond(bond, "biquadratic")
+        if any(one.bond == bond.name for one in self._declared.biquadratics):
+            raise ValueError(f"bond {bond.name} has biquadratic in this model; give the sum of both once")
+        value, lengths = read_number(K, "K"), self._declared.spin[bond.sites]
+        strengths = value * np.prod(lengths**2, axis=1)
+        check_sizes(strengths, "the biquadratic coupling")
+        bonds = np.column_stack([bond.sites, bond.offsets])
+        added = Biquadratic(bond.name, bonds, strengths, f"K = {value!r}")
+        return self._with(biquadratics=(*self._declared.biquadratics, added))
+
+    def single_ion(self, site: str | int, matrix: Any) -> Self:
+        """Return the model with the energy ``S_i . A S_i`` of a site and all equivalent ones, or Stevens functions.
+
+        Parameters
+        ----------
+        site : str or int
+            A label, the element of one label only, or the number of a site of the cell, as for ``crystal.site``, whose
+            ``print`` shows the allowed matrices.
+        matrix : (3, 3) array_like or mapping
+            A, symmetric, in the Cartesian frame of the lattice (energy for spins of length S). An easy axis has a
+            negative entry: ``np.diag([0, 0, -D])``. Or Stevens coefficients by name, of degree l = 2, 4, 6 and m from
+            -l to l: ``{"B20": -0.1, "B43": 0.02, "B4-3": 0.01}`` (see Notes).
+
+        Returns
+        -------
+        SpinModel
+
+        Raises
+        ------
+        ValueError, TypeError
+            An unknown site, or one that has a matrix or coefficients already; a matrix or coefficients that symmetry
+            forbids, with the allowed form; an unknown coefficient.
+
+        Notes
+        -----
+        The Stevens functions are classical: ``sum B_lm O_lm(S)`` with ``O_20 = 3 z^2 - r^2``, ``O_22 = x^2 - y^2``,
+        ``O_40 = 35 z^4 - 30 z^2 r^2 + 3 r^4``, ``O_43 = z (x^3 - 3 x y^2)``, ``O_44 = x^4 - 6 x^2 y^2 + y^4``, ..., for
+        m < 0 with ``Im (x + iy)^-m`` in place of ``Re (x + iy)^m``, of a vector S of length r = S, in the Cartesian
+        frame of the lattice, z along its third axis. Coefficients of quantum spins, as of a crystal field, have in a
+        coherent state the factor ``(1 - 1/(2 S)) (1 - 2/(2 S)) ... (1 - (l - 1)/(2 S))``, which Sunny's mode `:dipole`
+        applies and `:dipole_uncorrected` does not: multiply by it to compare with the former.
+
+        References
+        ----------
+        K. W. H. Stevens, Proc. Phys. Soc. A 65, 209 (1952); C. Rudowicz, C. Y. Chung, J. Phys.: Condens. Matter 16,
+        5825 (2004), all functions; D. Dahlbom et al., arXiv:2304.03874, the factors.
 
         Examples
         --------
@@ -316,18 +448,38 @@ class SpinModel(LiePoissonSystem):
         >>> model = co.systems.spins(tetragonal, (1, 1, 1), spin=2).single_ion("Mn", np.diag([0, 0, -0.1]))
         >>> model.energy([0, 0, 1])
         -0.4
+        >>> model = co.systems.spins(tetragonal, (1, 1, 1), spin=2).single_ion("Mn", {"B40": 0.01, "B44": 0.05})
+        >>> round(model.energy([1, 0, 0]), 12)                          # 16 (3 B40 + B44)
+        1.28
         """
         chosen = self.crystal.site(site)
-        matrices = chosen.single_ion(matrix) * (self._declared.spin[chosen.sites] ** 2)[:, None, None]
+        lengths = self._declared.spin[chosen.sites]
+        what = "Stevens coefficients" if isinstance(matrix, Mapping) else "a single-ion matrix"
         for known in self._declared.anisotropies:
-            if set(known.sites.tolist()) & set(chosen.sites.tolist()):
-                raise ValueError(
-                    f"site {chosen.label} {chosen.number} has a single-ion matrix; give the sum of both once"
-                )
+            if known.what == what and set(known.sites.tolist()) & set(chosen.sites.tolist()):
+                raise ValueError(f"site {chosen.label} {chosen.number} has {what}; give the sum of both once")
+        if isinstance(matrix, Mapping):
+            named = dict(matrix)
+            matrix, by_degree = read_stevens(named, float(lengths[0]))
+            check_sizes(
+                np.array([c for terms in by_degree.values() for c in terms.values()]), "the Stevens coefficients"
+            )
+            polynomials = tuple(
+                (int(number), degree, polynomial)
+                for degree, terms in by_degree.items()
+                for number, polynomial in zip(chosen.sites, propagated(chosen, terms), strict=True)
+            )
+            matrices, text = (
+                chosen.single_ion(matrix),
+                ", ".join(f"{name} = {value!r}" for name, value in named.items()),
+            )
+        else:
+            matrices, polynomials = chosen.single_ion(matrix) * (lengths**2)[:, None, None], ()
+            text = f"A = {np.asarray(matrix).tolist()}"
         matrices = 0.5 * (matrices + matrices.swapaxes(1, 2))  # of which the two triangles differ by rounding
         check_sizes(matrices, "the single-ion matrix")
-        text = f"site {chosen.label} {chosen.number}: A = {np.asarray(matrix).tolist()}"
-        return self._with(anisotropies=(*self._declared.anisotropies, Anisotropy(chosen.sites, matrices, text)))
+        added = Anisotropy(what, chosen.sites, matrices, polynomials, f"site {chosen.label} {chosen.number}: {text}")
+        return self._with(anisotropies=(*self._declared.anisotropies, added))
 
     def field(self, B: Any) -> Self:
         """Return the model in a magnetic field, with the energy ``-g mu_B B . S_i`` of each spin.
@@ -372,7 +524,9 @@ class SpinModel(LiePoissonSystem):
         Open lattices have the sum over all pairs of sites, and lattices that are periodic along all three axes Ewald's
         sum over all their images, of a sample in a surrounding conductor: it has no demagnetization field, and parallel
         moments on a cubic lattice have the field mu0 M/3. For a shape with demagnetization tensor N add
-        ``mu0 V (M . N M) / 2``. Splittings do not support it; `GaussLegendre(1)` conserves the energy.
+        ``mu0 V (M . N M) / 2``. Lattices that are periodic along two axes are films, with the sum over all images in
+        their plane and no film above or below: a thick one has the demagnetization field -mu0 M across it. Splittings
+        do not support dipoles; `GaussLegendre(1)` conserves the energy.
 
         Returns
         -------
@@ -381,11 +535,12 @@ class SpinModel(LiePoissonSystem):
         Raises
         ------
         ValueError
-            A lattice that is periodic along one or two axes; a model with dipoles.
+            A lattice that is periodic along one axis only, or twisted; a model with dipoles.
 
         References
         ----------
-        S. W. de Leeuw, J. W. Perram, E. R. Smith, Proc. R. Soc. Lond. A 373, 27 (1980).
+        S. W. de Leeuw, J. W. Perram, E. R. Smith, Proc. R. Soc. Lond. A 373, 27 (1980); D. E. Parry, Surf. Sci. 49, 433
+        (1975), films.
 
         Examples
         --------
@@ -399,10 +554,10 @@ class SpinModel(LiePoissonSystem):
         """
         if self._declared.dipolar:
             raise ValueError("the model has dipoles; call dipolar once")
-        if len(set(self.periodic)) > 1:
+        if sum(self.periodic) == 1:
             raise ValueError(
                 f"dipolar is given for a lattice with periodic={self.periodic}; dipoles are summed over open lattices, "
-                "and over those that are periodic along all axes"
+                "films that are periodic along two axes, and lattices that are along all three"
             )
         return self._with(dipolar=True)
 
@@ -577,6 +732,7 @@ class SpinModel(LiePoissonSystem):
 
     def _text(self) -> str:
         names = [f"{one.what} on {one.bond}" for one in self._declared.couplings]
+        names += [f"biquadratic on {one.bond}" for one in self._declared.biquadratics]
         names += [f"single_ion on {one.text.partition(':')[0]}" for one in self._declared.anisotropies]
         names += ["field"] * (self._declared.field is not None) + ["dipolar"] * self._declared.dipolar
         terms = ", ".join(names) if names else "no energy"
@@ -593,12 +749,15 @@ class SpinModel(LiePoissonSystem):
         )
         lines = [
             f"{len(self.sites)} spins, {cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
-            "H = sum of S_i . J S_j + D . (S_i x S_j) over bonds + S_i . A S_i - g mu_B B . S_i over sites",
+            "H = sum of S_i . J S_j + D . (S_i x S_j) + K (S_i . S_j)^2 over bonds + S_i . A S_i + B_lm O_lm(S_i)"
+            " - g mu_B B . S_i over sites",
+            *([] if (twist := declared.twist) is None else [f"twist {twist.angles} rad about {twist.axis}"]),
             *kinds,
             *(ion.text for ion in declared.substitutions),
         ]
         for one in declared.couplings:
             lines.append(f"bond {one.bond}: {one.text}{energy}")
+        lines += [f"bond {one.bond}: {one.text}{energy}" for one in declared.biquadratics]
         lines += [one.text + energy for one in declared.anisotropies]
         if declared.field is not None:
             shown = "a function of the time" if callable(declared.field) else short(declared.field.tolist(), 60)

@@ -16,6 +16,7 @@ from coadjoint.systems.lattices.declared_spins import UNITS, Declaration, check_
 from coadjoint.systems.lattices.geometry import MAX_SITES, read_flags, read_sizes
 from coadjoint.systems.lattices.spin_lattice import MAX_COUPLING
 from coadjoint.systems.lattices.spin_model import SpinModel
+from coadjoint.systems.lattices.twists import Twist
 from coadjoint.validation import read_choice, read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
@@ -31,6 +32,8 @@ def spins(
     moments: Any = None,
     periodic: Any = True,
     units: str = "natural",
+    twist: Any = None,
+    axis: Any = (0.0, 0.0, 1.0),
 ) -> SpinModel:
     """Return spins on the sites of a crystal, without energy; methods of the model add its terms.
 
@@ -61,6 +64,13 @@ def spins(
         "natural": hbar = mu_B = k_B = 1, dipoles of moments m at distance r of the order m^2/r^3. "meV": energies in
         meV, fields in tesla, times in ps, temperatures in kelvin (also those of `thermal_states`, `HeatBath` and
         `Gilbert`), lengths in angstroms.
+    twist : (3,) array_like, optional
+        Twisted boundaries, for spirals whose period is not that of the lattice: beyond its end along each lattice
+        vector the spins are turned by these angles, in radians, about `axis`, S(n + size) = R S(n). A spiral of wave
+        vector q along the first one has the twist 2 pi q times its cells. For energies that rotations about the axis
+        leave invariant; other terms are refused. Zero along open axes.
+    axis : (3,) array_like
+        Axis of the twist in the Cartesian frame of the lattice; the third one by default.
 
     Returns
     -------
@@ -75,7 +85,8 @@ def spins(
 
     References
     ----------
-    S. Toth, B. Lake, J. Phys.: Condens. Matter 27, 166002 (2015), the form of the energy; CODATA 2022.
+    S. Toth, B. Lake, J. Phys.: Condens. Matter 27, 166002 (2015), the form of the energy; L. M. Sandratskii, Adv. Phys.
+    47, 91 (1998), spirals in one cell; CODATA 2022.
 
     Examples
     --------
@@ -112,7 +123,8 @@ def spins(
     what = "spin" if moments is None or spin is not None else "moments"
     if not np.all(lengths >= 1.0 / MAX_COUPLING):
         raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")
-    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g))  # type: ignore[arg-type]
+    turned = Twist.of(twist, axis, flags)
+    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g, turned))  # type: ignore[arg-type]
 
 
 def _of_sites(values: Any, what: str, crystal: Crystal) -> Floats:

@@ -1,0 +1,105 @@
+"""Twisted boundaries of spin models: the motion of a larger lattice, energies of spirals, and what is refused."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("gemmi") is None, reason="gemmi is not installed")
+
+SQUARE = co.spins.crystal(lattice=(1, 1.3, 1.7, 90, 90, 90), sites={"Cu": (0, 0, 0)}, space_group="P 1")
+BONDS = {bond.offset: bond for bond in SQUARE.bonds(2.01)}
+ROW, SECOND, COLUMN, DIAGONAL = (BONDS[n, m, 0] for n, m in ((1, 0), (2, 0), (0, 1), (1, -1)))
+AXIS = np.array([0.48, 0.6, 0.64])
+
+
+def about(axis, angle):
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def invariant(axis):
+    """Return a matrix that commutes with rotations about an axis, with a Dzyaloshinskii-Moriya vector along it."""
+    x, y, z = axis
+    return 0.7 * np.eye(3) - 0.5 * np.outer(axis, axis) + 0.3 * np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+
+
+def lattice(size, axis, **twisted):
+    model = co.systems.spins(SQUARE, size, spin=1.5, periodic=(True, True, False), axis=axis, **twisted)
+    model = model.exchange(ROW, invariant(axis)).exchange(COLUMN, -0.4).exchange(DIAGONAL, 0.3 * invariant(axis).T)
+    return model.biquadratic(ROW, 0.2).single_ion(0, 0.1 * np.outer(axis, axis)).field(0.2 * np.array(axis))
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), AXIS])
+def test_motion_is_that_of_a_larger_lattice(axis):
+    """Cells of 3 x 4 spins, turned by 2 pi/2 and -2 pi/3 along a and b, fill a periodic lattice of 6 x 12."""
+    axis = np.array(axis, dtype=float)
+    angles = (np.pi, -2 * np.pi / 3, 0)
+    small, large = lattice((3, 4, 1), axis, twist=angles), lattice((6, 12, 1), axis)
+    x = np.random.default_rng(1).standard_normal((3, 4, 3))
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    whole = np.concatenate(
+        [np.concatenate([x @ about(axis, a * angles[0] + b * angles[1]).T for b in range(3)], axis=1) for a in range(2)]
+    )
+    assert abs(6 * small.energy(x.ravel()) - large.energy(whole.ravel())) < 1e-12
+    ends = [
+        co.integrate(model, start.ravel(), (1, 2), 0.02, co.GaussLegendre(3)).x[-1]
+        for model, start in ((small, x), (large, whole))
+    ]
+    assert np.abs(ends[0].reshape(3, 4, 3) - ends[1].reshape(6, 12, 3)[:3, :4]).max() < 1e-12
+    if axis[2] == 1:
+        splitting = co.integrate(small, x.ravel(), (1, 2), 0.01, co.Splitting(order=6)).x[-1]
+        assert np.abs(splitting - ends[0]).max() < 1e-7
+        assert list(small.integrals) == ["total S3"]
+
+
+def test_spirals_of_any_wave_vector():
+    """A chain with J1 < 0 < J2 has at the wave vector q the energy S^2 (J1 cos q + J2 cos 2q) a site, at rest."""
+    J1, J2, S, cells = -1.0, 0.4, 1.5, 5
+    for q in (0.37, np.arccos(-J1 / (4 * J2)), 2.0):
+        chain = co.systems.spins(SQUARE, (cells, 1, 1), spin=S, periodic=(True, False, False), twist=(q * cells, 0, 0))
+        chain = chain.exchange(ROW, J1).exchange(SECOND, J2)
+        turns = q * np.arange(cells)
+        spiral = np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=-1).ravel()
+        assert abs(chain.energy(spiral) / cells - S**2 * (J1 * np.cos(q) + J2 * np.cos(2 * q))) < 1e-13
+        assert np.abs(chain.vector_field(spiral)).max() < 1e-13
+    best = -J1 / (4 * J2)
+    ground = co.systems.spins(
+        SQUARE, (cells, 1, 1), spin=S, periodic=(True, False, False), twist=(np.arccos(best) * cells, 0, 0)
+    )
+    found = co.equilibrium(ground.exchange(ROW, J1).exchange(SECOND, J2), spiral + 0.0)
+    assert found.energy >= cells * S**2 * (J1 * best + J2 * (2 * best**2 - 1)) - 1e-9
+
+
+def test_what_is_refused():
+    plain = co.systems.spins(SQUARE, (4, 4, 4), twist=(0.5, 0, 0))
+    assert plain.twist == (0.5, 0, 0) and "twist" in str(plain)
+    assert co.systems.spins(SQUARE, (4, 4, 4), twist=(0, 0, 0)).twist == (0, 0, 0)
+    with refused(ValueError, "exchange on bond", "axis", "twist"):
+        plain.exchange(ROW, np.diag([1.0, 0.9, 1.0]))
+    with refused(ValueError, "dzyaloshinskii_moriya", "twist"):
+        plain.dzyaloshinskii_moriya(ROW, (0.1, 0, 0))
+    plain.dzyaloshinskii_moriya(ROW, (0, 0, 0.1)).single_ion(0, {"B20": 1.0, "B40": 0.1})
+    for term in (np.diag([1.0, 0, 0]), {"B44": 0.1}, {"B21": 0.1}):
+        with refused(ValueError, "single_ion on site Cu 0", "twist"):
+            plain.single_ion(0, term)
+    with refused(ValueError, "field", "twist"):
+        plain.field((0.1, 0, 1.0))
+    with refused(ValueError, "function", "twisted"):
+        plain.field(lambda t: (0.0, 0.0, 1.0))
+    with refused(ValueError, "dipolar", "twisted"):
+        plain.dipolar()
+    with refused(ValueError, "twist", "along a", "open"):
+        co.systems.spins(SQUARE, (4, 4, 4), periodic=(False, True, True), twist=(0.5, 0, 0))
+    with refused(ValueError, "twist", "(2,)"):
+        co.systems.spins(SQUARE, (4, 4, 4), twist=(0.5, 0))
+    with refused(ValueError, "axis", "direction"):
+        co.systems.spins(SQUARE, (4, 4, 4), twist=(0.5, 0, 0), axis=(0, 0, 0))
+    still = plain.exchange(ROW, 1.0)
+    sol = co.integrate(still, np.tile([0.0, 0, 1], 64), (0, 1), 0.1, co.GaussLegendre(1))
+    with refused(ValueError, "twisted", "structure_factor"):
+        co.spectra.structure_factor(sol, path=[(0, 0, 0), (1, 0, 0)])
