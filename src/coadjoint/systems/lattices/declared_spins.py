@@ -42,7 +42,10 @@ UNITS = {
 
 
 class Coupling(NamedTuple):
-    """Matrices of bonds of a cell, that act on unit vectors; `bonds` (k, 5) are sites and offsets."""
+    """Matrices of bonds of a cell, that act on states; `bonds` (k, 5) are sites and offsets.
+
+    States are unit vectors, or the unit and expectations of the operators of a site.
+    """
 
     what: str
     bond: str
@@ -84,7 +87,7 @@ class ExchangeTable:
 
 
 class Anisotropy(NamedTuple):
-    """Single-ion matrices of sites of a cell, that act on unit vectors."""
+    """Single-ion matrices of sites of a cell, that act on unit vectors; or coefficients of operators of a site."""
 
     sites: Integers
     matrices: Floats
@@ -142,8 +145,9 @@ def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, 
                 raise _cut_twice(declared, owner[key], (i, j, *n), other)
     known: dict[bytes, int] = {}
     kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
-    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
-    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
+    shape = declared.couplings[0].matrices.shape[1:] if declared.couplings else (3, 3)
+    distinct = np.array([np.frombuffer(code).reshape(shape) for code in known]).reshape(-1, *shape)
+    return list(total), distinct if len(distinct) else np.zeros((1, *shape)), kinds
 
 
 def _cut_twice(declared: Declaration, name: str, bond: tuple[int, ...], other: tuple[int, ...]) -> ValueError:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.declared_spins import UNITS, Declaration, check_sizes
 from coadjoint.systems.lattices.geometry import MAX_SITES, read_flags, read_sizes
@@ -19,6 +20,8 @@ from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_choice, read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
+
+MODES: Mapping[str, type[SpinModel]] = {"dipole": SpinModel, "SU(N)": CoherentSpinModel}
 
 
 @suggest_keywords
@@ -31,6 +34,7 @@ def spins(
     moments: Any = None,
     periodic: Any = True,
     units: str = "natural",
+    mode: str = "dipole",
 ) -> SpinModel:
     """Return spins on the sites of a crystal, without energy; methods of the model add its terms.
 
@@ -61,6 +65,9 @@ def spins(
         "natural": hbar = mu_B = k_B = 1, dipoles of moments m at distance r of the order m^2/r^3. "meV": energies in
         meV, fields in tesla, times in ps, temperatures in kelvin (also those of `thermal_states`, `HeatBath` and
         `Gilbert`), lengths in angstroms.
+    mode : {"dipole", "SU(N)"}
+        "dipole": spins are vectors. "SU(N)": they are pure quantum states of N = 2 S + 1 levels, and the model is a
+        `CoherentSpinModel`, whose energies are operators; choose it for anisotropies as strong as the exchange.
 
     Returns
     -------
@@ -112,7 +119,7 @@ def spins(
     what = "spin" if moments is None or spin is not None else "moments"
     if not np.all(lengths >= 1.0 / MAX_COUPLING):
         raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")
-    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g))  # type: ignore[arg-type]
+    return MODES[read_choice(mode, "mode", MODES)](Declaration(crystal, sizes, flags, choice, lengths, of_g))  # type: ignore[arg-type]
 
 
 def _of_sites(values: Any, what: str, crystal: Crystal) -> Floats:

@@ -66,10 +66,23 @@ struct CubicFactors {
     template <class C>
     INLINE CubicFactors(const Action& action, const C& constants, uint32_t run, const A& theta) {
         const int64_t base = action.constant[run];
+        lam = constants.template number_at<A>(action.constants, base);
+        const A phi = constants.template number_at<A>(action.constants, base + 1) * theta;
+        scale(action, constants, base,
+              action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi));
+    }
+
+    // The factors of a circular rotation whose sine is known.
+    template <class C>
+    INLINE CubicFactors(const Action& action, const C& constants, uint32_t run, const Rotation<A>& rotation)
+        : lam(constants.template number_at<A>(action.constants, action.constant[run])) {
+        scale(action, constants, action.constant[run], rotation);
+    }
+
+  private:
+    template <class C>
+    INLINE void scale(const Action& action, const C& constants, int64_t base, const Rotation<A>& rotation) {
         auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, base + position); };
-        lam = constant(0);
-        const A phi = constant(1) * theta;
-        Rotation<A> rotation = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
         // The rounding error of the constants is added, since it would stretch every step in the same way.
         s = fma(rotation.sine, constant(2), rotation.sine * constant(3));
         c = fma(rotation.cosm1, constant(4), rotation.cosm1 * constant(5));
