@@ -114,12 +114,12 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
         return;
     }
     // Rows of D and D^2 are summed in registers, during the latency of the sine.
-    for (uint32_t k = 0; k < block.width; ++k) {
+    const auto move_row = [&](uint32_t k, uint32_t first_entry, uint32_t end, const auto& column) {
         int64_t i = block.coordinates[k] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {
             V first(0.0), second(0.0), rest(0.0);
-            for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
-                V v = x.workspace[block.columns[entry] * x.rows + row];
+            for (uint32_t entry = first_entry; entry < end; ++entry) {
+                V v = x.workspace[column(entry) * x.rows + row];
                 first = fma(V(constant(values + entry)), v, first);
                 second = fma(V(constant(squares + entry)), v, second);
                 rest = fma(V(constant(rests + entry)), v, rest);
@@ -127,7 +127,15 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
             second += rest;
             add<summation>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
+    };
+    if (block.width == 3 && block.entries == 9) {
+        // Without indices: rotations of vectors about any axis, and of quadrupoles.
+#pragma GCC unroll 3
+        for (uint32_t k = 0; k < 3; ++k) move_row(k, 3 * k, 3 * k + 3, [=](uint32_t entry) { return entry - 3 * k; });
+        return;
     }
+    for (uint32_t k = 0; k < block.width; ++k)
+        move_row(k, block.starts[k], block.starts[k + 1], [&](uint32_t entry) { return block.columns[entry]; });
 }
 
 template <Summation summation, class A, class V, class C>
