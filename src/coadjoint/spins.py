@@ -6,8 +6,9 @@ from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
 from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.ovf import read_ovf, write_ovf
+from coadjoint.systems.lattices.spin_operators import operators
 
-__all__ = ["crystal", "read_exchange", "read_ovf", "structure", "write_ovf"]
+__all__ = ["crystal", "operators", "read_exchange", "read_ovf", "structure", "write_ovf"]
 
 TYPE_CHECKING = False
 

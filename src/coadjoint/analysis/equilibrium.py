@@ -18,7 +18,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
-from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.coordinates import CoordinateGroups, has_skew_actions
 from coadjoint.systems.evaluation import ignore_overflow, scatter
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_choice
@@ -235,8 +235,8 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     Raises
     ------
     ValueError
-        The orbit of x0 has a lower dimension than those around it (on such orbits the energy does not decide about
-        stability), or the energy has no minimum on it.
+        The orbit of x0 has a lower dimension than those around it and may not be compact (on such orbits the energy
+        does not decide about stability), or the energy has no minimum on it.
     TypeError
         The system has forces, a nonlinear bracket, other or several matrices as states, or its Hamiltonian depends on
         time or has no second derivatives.
@@ -248,7 +248,8 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     The energy-Casimir method, restricted to the tangent space of the orbit: there the second variation of H plus a
     function of the Casimirs is that of H along ``exp(D_v) x``. Definiteness on an orbit of maximal dimension implies
     nonlinear stability. Zero eigenvalues, such as those of a symmetry that x breaks, leave it undecided. On compact
-    orbits of matrices it does so on those of lower dimension too, which are not refused.
+    orbits it does so on those of lower dimension too, which are not refused: of matrices, and of vectors whose brackets
+    preserve the sum of squares, such as those of pure states of SU(N).
 
     References
     ----------
@@ -340,8 +341,9 @@ def _orbits_of_matrices(system: Any, x0: ArrayLike) -> tuple[MatrixOrbits, Float
 
 
 def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
-    rank, generic = orbit.tangents(y).basis.shape[1], orbit.system.algebra.generic_rank()
-    if rank < generic:
+    algebra = orbit.system.algebra
+    rank, generic = orbit.tangents(y).basis.shape[1], algebra.generic_rank()
+    if rank < generic and not (rank and has_skew_actions(algebra)):
         raise ValueError(
             f"x0 lies on a singular coadjoint orbit, of dimension {rank}; those around it have dimension {generic}, "
             "and energy on the orbit does not decide about stability; move x0, or take the subalgebra or quotient in "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +17,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import cells_text
 from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, has_cell, reciprocal_edges, sizes_of
 from coadjoint.systems.lattices.space_groups import inverse
@@ -132,7 +134,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     a wave with positive omega travels along q. The sum over all frequencies times their distance is the equal-time
     structure factor ``|sum over i of S_a,i exp(-i q . r_i)|^2 / N``, exactly. Sites of cells with several are at their
     positions, so that S is not periodic in q there. Spins of a model on a crystal are S times their directions, without
-    g and form factors, and N does not count vacancies. Spins of `spin_lattice` are the state, whatever their moments.
+    g and form factors, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins of `spin_lattice` are the state, whatever their moments.
 
     Examples
     --------
@@ -150,7 +152,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     """
     check_solution(solution)
     lattice = _lattice(solution)
-    signal = sampled(solution, None, MIN_TIMES)
+    signal = sampled(solution, _directions_in(solution.system), MIN_TIMES)
     members, count, n = signal.values.shape
     q, distance, corners = reciprocal_path(lattice, path)
     k = len(q)
@@ -233,6 +235,19 @@ def _lattice_of(system: Any) -> Lattice:
     if 3 * sites != system.dim:
         raise ValueError(f"the lattice of {system.name} has {sites} sites, and its states {system.dim} coordinates")
     return lattice
+
+
+def _directions_in(system: Any) -> Callable[[Any], Floats] | None:
+    """Return the function of states whose values are dipoles over S; None if states are directions of spins."""
+    model = system.distinct[0].unforced
+    if not isinstance(model, CoherentSpinModel):
+        return None
+
+    def directions(x: Any) -> Floats:
+        found = model.dipoles(x) / model.spin[:, None]
+        return np.asarray(found.reshape(*found.shape[:-2], -1))
+
+    return directions
 
 
 def _waves(system: Any, lattice: Lattice, q: Floats) -> Floats:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.analysis.coherent_sweeps import CoherentMoves
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -20,6 +21,7 @@ from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.dipoles import DipolarFunction
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_choice, read_finite, read_integer
@@ -94,6 +96,11 @@ class SpinEnergy:
     monomials: SpinMonomials | None = None
 
     @property
+    def words(self) -> int:
+        """Random numbers of a spin in a sweep."""
+        return WORDS
+
+    @property
     def sites(self) -> int:
         return len(self.on_site)
 
@@ -159,7 +166,7 @@ class Sublattice:
     def field(self, S: Floats) -> Floats:
         """Return ``-dH/dS_i`` without the on-site part, (sites of this set, 3, members), of all spins S."""
         products = product(self.coupling, S.reshape(-1, S.shape[2]))
-        return np.asarray(-products.reshape(-1, 3, S.shape[2]) - self.linear)
+        return np.asarray(-products.reshape(*self.linear.shape[:2], S.shape[2]) - self.linear)
 
     def change(self, S: Floats, proposed: Floats) -> Any:
         """Return the changes (sites of this set, members) of all energies but that in `field`, for proposed spins."""
@@ -178,6 +185,48 @@ def _owned(monomials: SpinMonomials, sites: Integers) -> tuple[SpinMonomials, In
     number[sites] = np.arange(len(sites))
     owner = number[monomials.factors // 3].max(axis=1, initial=-1)
     return monomials.take(owner >= 0), owner[owner >= 0]
+
+
+@dataclass(frozen=True, eq=False)
+class CoherentEnergy(SpinEnergy):
+    """The energy of sites of SU(N), linear in each: `linear` has what is on site."""
+
+    moves: CoherentMoves = CoherentMoves(2)
+
+    @property
+    def words(self) -> int:
+        return self.moves.words
+
+    @cached_property
+    def strengths(self) -> Any:
+        """Norms of the coupling of each pair of sites, sparse (sites, sites)."""
+        import scipy.sparse
+
+        width, blocks = self.moves.width, self.coupling.tocoo()
+        place = (blocks.row // width, blocks.col // width)
+        return scipy.sparse.coo_matrix((blocks.data**2, place), shape=(self.sites, self.sites)).tocsr()
+
+    @cached_property
+    def sublattices(self) -> tuple[Sublattice, ...]:
+        """Sets of sites that are not coupled to each other, by first fit."""
+        colours, width = _colours(self.strengths), self.moves.width
+        found = []
+        for colour in range(int(colours.max()) + 1):
+            sites = np.flatnonzero(colours == colour)
+            rows = (width * sites[:, None] + np.arange(width)).ravel()
+            found.append(Sublattice(sites, self.coupling[rows], self.linear[rows].reshape(-1, width, 1), None))
+        return tuple(found)
+
+    def energy(self, S: Floats) -> Floats:
+        rows = S.reshape(-1, S.shape[2])
+        density = rows * (0.5 * product(self.coupling, rows) + self.linear[:, None])
+        return np.asarray(self.constant + np.sum(np.ascontiguousarray(density.T), axis=1))
+
+    def draw(self, sublattice: Sublattice, S: Floats, u: Floats, weights: bool = True) -> Floats:
+        """Draw sites in their local fields, or only their phases, in place; return the number of moves."""
+        sites = sublattice.sites
+        S[sites] = self.moves.draw(sublattice.field(S), S[sites], sublattice.beta, u[:, sites], weights)
+        return np.full(S.shape[2], float(len(sites)))
 
 
 def on_site_energy(A: Floats, S: Floats) -> Floats:
@@ -210,7 +259,8 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
         raise TypeError(f"{system.name} is a batch; call {asking} for each of its systems")
     if system.forces:
         raise TypeError(f"{system.name} has forces; {asking} takes the Hamiltonian part, system.unforced")
-    if not are_spins(system):
+    coherent = isinstance(system, CoherentSpinModel)
+    if not coherent and not are_spins(system):
         raise TypeError(f"{system.name} is not made of spins; {asking} needs copies of so(3), as spin_lattice has")
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no thermal equilibrium")
@@ -225,6 +275,10 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
             "couplings, anisotropies and fields, as spin_lattice has"
         )
     matrix = sum((part[0] for part in parts if part), start=scipy.sparse.csr_matrix((n, n))).tocoo()
+    if coherent:
+        linear, constant = (sum(part[k] for part in parts if part) for k in (1, 2))
+        on_sites = np.zeros((len(system.sites), 0, 0))
+        return CoherentEnergy(matrix.tocsr(), on_sites, linear, constant, moves=CoherentMoves(system.levels))
     on_site, same = np.zeros((n // 3, 3, 3)), matrix.row // 3 == matrix.col // 3
     on_site[matrix.row[same] // 3, matrix.row[same] % 3, matrix.col[same] % 3] = matrix.data[same]
     entries = (matrix.data[~same], (matrix.row[~same], matrix.col[~same]))
@@ -261,7 +315,7 @@ MIN_TEMPERATURE = 1e-300  # its inverse is finite
 
 STREAM = 1 << 63
 """The last word of counters, which no noise of forces uses."""
-WORDS = 4  # random numbers of a spin in a sweep
+WORDS = 4  # random numbers of a spin in a sweep, and of a block of Philox
 MAX_STEP = 1.0  # largest size of a small rotation: at most a quarter turn
 
 
@@ -279,19 +333,22 @@ class ThermalStates:
         H at the start and after each sweep.
     acceptance : ndarray, shape (sweeps, members)
         Accepted fraction of the proposed moves of each sweep, over-relaxation excluded.
+    sites : int
+        Number of spins.
     """
 
     x: Floats
     temperature: Floats
     energy: Floats
     acceptance: Floats
+    sites: int
 
     def __repr__(self) -> str:
-        members, n = self.x.shape
+        members = len(self.x)
         low, high = np.min(self.temperature), np.max(self.temperature)
         kT = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
         return (
-            f"<{members} states of {n // 3} spins at kT = {kT} after {len(self.acceptance)} sweeps, acceptance "
+            f"<{members} states of {self.sites} spins at kT = {kT} after {len(self.acceptance)} sweeps, acceptance "
             f"{np.mean(self.acceptance):.2f}>"
         )
 
@@ -320,7 +377,9 @@ def thermal_states(
     ----------
     system : LiePoissonSystem
         Copies of so(3) whose energy is a polynomial, such as `spin_lattice` and `co.systems.spins` with any of their
-        couplings. With dipolar coupling spins are updated one by one, in time N^2 for each sweep.
+        couplings. With dipolar coupling spins are updated one by one, in time N^2 for each sweep. Or a model of
+        `co.systems.spins` with ``mode="SU(N)"``, whose sites are drawn from all pure states; its bits depend on the
+        LAPACK library.
     temperature : float or (members,) array_like
         Boltzmann's constant times the temperature, in units of the energy; kelvin for `co.systems.spins` in units of
         meV. Positive, one for all members or for each.
@@ -334,13 +393,14 @@ def thermal_states(
         "heat bath": new directions from the distribution in the local field; with anisotropy on site, and terms of
         degree three and higher such as biquadratic ones, they are accepted with the probability that corrects for it.
         "Metropolis": a small rotation (half of the proposals), a random direction or a reversal (a quarter each); for
-        anisotropy on site, or terms of higher degree, far above the temperature.
+        anisotropy on site, or terms of higher degree, far above the temperature. Sites of SU(N) take the heat bath:
+        their energy is linear, so that all anisotropy is in the local field.
     over_relaxation : int
         Number of additional sweeps after each, up to 100, which rotate spins by half a turn about their local field:
         at constant energy, without anisotropy on site and terms of higher degree. They shorten correlations near phase
-        transitions.
+        transitions. Sites of SU(N) take new phases of the levels in their local field.
     x0 : (n,) or (members, n) array_like, optional
-        Start, from which the spins have their lengths. None is random directions of length one.
+        Start, from which the spins have their lengths. None is random directions of length one, or pure states.
 
     Returns
     -------
@@ -379,6 +439,8 @@ def thermal_states(
     key = read_seed(seed, "seed")
     count = read_integer(sweeps, "sweeps", 1, MAX_SWEEPS, floats=True)
     extra = read_integer(over_relaxation, "over_relaxation", 0, MAX_OVER_RELAXATION)
+    if isinstance(energies, CoherentEnergy) and choice != "heat bath":
+        raise ValueError(f'method is {short(method)}, which turns vectors; sites of SU(N) take "heat bath"')
     kT = system.boltzmann * read_finite(temperature, "temperature")
     start = None if x0 is None else read_finite(x0, "x0")
     number = _members(members, kT, start, system.dim, system.name)
@@ -390,12 +452,11 @@ def thermal_states(
     check_available_memory(8 * number * (system.dim + 2 * count + 2), f"{short(number)} thermal states")
     group = max(1, min(number, SPINS_AT_ONCE // energies.sites))
     temperatures = np.array(np.broadcast_to(kT, number))
-    result = ThermalStates(
-        np.empty((number, system.dim)), temperatures, np.empty((count + 1, number)), np.empty((count, number))
-    )
+    record = np.empty((count + 1, number)), np.empty((count, number))
+    result = ThermalStates(np.empty((number, system.dim)), temperatures, *record, energies.sites)
     for first in range(0, number, group):
         chains = slice(first, min(first + group, number))
-        S = _start(start, key, energies.sites, chains)
+        S = _start(start, key, energies, chains)
         _sweep(energies, S, result, chains, (key, choice, extra))
         result.x[chains] = S.reshape(system.dim, -1).T
     if not (np.all(np.isfinite(result.energy)) and np.all(np.isfinite(result.x))):
@@ -407,17 +468,23 @@ def _sweep(energies: SpinEnergy, S: Floats, result: ThermalStates, chains: slice
     """Sweep over the spins S (sites, 3, members), in place, and record energies and acceptance."""
     key, choice, extra = how
     lengths, beta = np.sqrt(np.sum(S**2, axis=1)), 1.0 / result.temperature[chains]
-    sizes = step_sizes(energies, lengths, beta)
+    move: Callable[..., Floats] = METHODS[choice]
+    relaxed: Callable[..., Any] = over_relax
+    sizes = lengths
+    if isinstance(energies, CoherentEnergy):
+        move, relaxed = energies.draw, partial(energies.draw, weights=False)
+    else:
+        sizes = step_sizes(energies, lengths, beta)
     sublattices = [one.at_temperature(beta, lengths, sizes) for one in energies.sublattices]
-    move, number, count = METHODS[choice], len(result.temperature), len(result.acceptance)
+    number, count = len(result.temperature), len(result.acceptance)
     result.energy[0, chains] = energies.energy(S)
     for sweep in range(count):
         accepted = np.zeros(S.shape[2])
         for part in range(1 + extra):
-            words = uniform_words(key, (sweep + 1, part), energies.sites, chains)
+            words = uniform_words(key, (sweep + 1, part), energies.sites, chains, energies.words)
             for sublattice in sublattices:
                 if part:
-                    over_relax(sublattice, S, words)
+                    relaxed(sublattice, S, words)
                 else:
                     accepted += move(sublattice, S, words)
         result.acceptance[sweep, chains] = accepted / energies.sites
@@ -425,13 +492,17 @@ def _sweep(energies: SpinEnergy, S: Floats, result: ThermalStates, chains: slice
         note_progress("Monte Carlo sweeps", (chains.start + (sweep + 1) / count * S.shape[2]) / number)
 
 
-def _start(x0: Floats | None, key: int, sites: int, chains: slice) -> Floats:
+def _start(x0: Floats | None, key: int, energies: SpinEnergy, chains: slice) -> Floats:
+    sites, moves = energies.sites, energies.moves if isinstance(energies, CoherentEnergy) else None
     if x0 is None:
-        u = uniform_words(key, (0, 0), sites, chains)
-        return directions(u[0], u[1])
+        u = uniform_words(key, (0, 0), sites, chains, energies.words)
+        return directions(u[0], u[1]) if moves is None else moves.uniform(u)
     members = chains.stop - chains.start
-    rows = np.broadcast_to(x0, (members, 3 * sites)) if x0.ndim == 1 else x0[chains]
-    return np.array(rows.T.reshape(sites, 3, members), order="C")
+    rows = np.broadcast_to(x0, (members, x0.size)) if x0.ndim == 1 else x0[chains]
+    start = np.array(rows.T.reshape(sites, -1, members), order="C")
+    if moves is not None and not moves.are_pure(start):
+        raise ValueError("x0 has sites that are in no pure state; take states of model.coherent, from_amplitudes or random")
+    return start
 
 
 def _members(members: Any, kT: Floats, start: Floats | None, dim: int, name: str) -> int:
@@ -450,15 +521,15 @@ def _members(members: Any, kT: Floats, start: Floats | None, dim: int, name: str
     return next(iter(counts.values()), 1)
 
 
-def uniform_words(key: int, moment: tuple[int, int], sites: int, members: slice) -> Floats:
-    """Return numbers in (0, 1), four for each spin, (4, sites, members): a function of seed, sweep, site and member."""
-    sweep, part = moment
-    first, count = members.start * sites, (members.stop - members.start) * sites
+def uniform_words(key: int, moment: tuple[int, int], sites: int, members: slice, needed: int = WORDS) -> Floats:
+    """Return numbers in (0, 1), (needed, sites, members): a function of seed, sweep, site and member."""
+    (sweep, part), blocks = moment, -(-needed // WORDS)
+    first, count = members.start * sites * blocks, (members.stop - members.start) * sites * blocks
     # NumPy increments the counter before its first block of four words.
     counter = (((STREAM | part) << 192) | (sweep << 128)) + first - 1
     words = np.random.Philox(key=key, counter=counter).random_raw(WORDS * count)
     numbers = (np.asarray(words >> np.uint64(11), dtype=np.float64) + 0.5) * 2.0**-53
-    return np.ascontiguousarray(numbers.reshape(-1, sites, WORDS).T)
+    return np.ascontiguousarray(numbers.reshape(-1, sites, WORDS * blocks).T[:needed])
 
 
 def directions(u: Floats, v: Floats) -> Floats:

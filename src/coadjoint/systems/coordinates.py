@@ -163,18 +163,29 @@ class Spins(NamedTuple):
 @lru_cache(maxsize=16)
 def spins_in(algebra: Any) -> Spins | None:
     """Return the spins of a sum of copies of so(3) and commuting coordinates; None for any other algebra."""
+    spins = _skew_triples(algebra)
+    disjoint = spins is not None and len(np.unique(spins.coordinates)) == spins.coordinates.size
+    return spins if disjoint else None
+
+
+def has_skew_actions(algebra: Any) -> bool:
+    """Return whether all brackets preserve the sum of squares, so that orbits are compact."""
+    return _skew_triples(algebra) is not None
+
+
+def _skew_triples(algebra: Any) -> Spins | None:
+    """Return the sets of three coordinates with brackets if all constants are totally antisymmetric, else None."""
     i, j, k, c = (np.asarray(column) for column in algebra.triples)
     rows = np.sort(np.stack([i, j, k], axis=1), axis=1)
     # The constant c of [e_a, e_b] = c e_d, made invariant under cyclic permutations.
     cyclic = c * np.sign((j - i) * (k - j) * (k - i))
-    spins, triple, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    sets, triple, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
     triple = triple.ravel()
     constants = cyclic[np.unique(triple, return_index=True)[1]]
     equal = np.abs(cyclic - constants[triple]) <= 8 * UNIT_ROUNDOFF * np.abs(cyclic)
-    disjoint = len(np.unique(spins)) == spins.size and np.all(cyclic != 0)
-    is_sum = len(spins) and disjoint and np.all(count == 3) and np.all(equal)
-    rounded = not np.array_equal(cyclic, constants[triple])
-    return Spins(spins, constants.astype(np.float64), rounded) if is_sum else None
+    if not (len(sets) and np.all(cyclic != 0) and np.all(count == 3) and np.all(equal)):
+        return None
+    return Spins(sets, constants.astype(np.float64), not np.array_equal(cyclic, constants[triple]))
 
 
 @lru_cache(maxsize=16)

@@ -45,7 +45,10 @@ UNITS = {
 
 
 class Coupling(NamedTuple):
-    """Matrices of bonds of a cell, that act on unit vectors; `bonds` (k, 5) are sites and offsets."""
+    """Matrices of bonds of a cell, that act on states; `bonds` (k, 5) are sites and offsets.
+
+    States are unit vectors, or the unit and expectations of the operators of a site.
+    """
 
     what: str
     bond: str
@@ -87,7 +90,10 @@ class ExchangeTable:
 
 
 class Anisotropy(NamedTuple):
-    """Single-ion matrices of sites of a cell, and site, degree and polynomial of Stevens functions, of unit vectors."""
+    """Single-ion matrices of sites of a cell, and site, degree and polynomial of Stevens functions, of unit vectors.
+
+    Of sites of SU(N) the matrices are columns of coefficients of operators.
+    """
 
     what: str
     sites: Integers
@@ -149,8 +155,9 @@ def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, 
     check_joined_once(declared, owner)
     known: dict[bytes, int] = {}
     kinds = [known.setdefault((matrix + 0.0).tobytes(), len(known)) for matrix in total.values()]
-    distinct = np.array([np.frombuffer(code).reshape(3, 3) for code in known]).reshape(-1, 3, 3)
-    return list(total), distinct if len(distinct) else np.zeros((1, 3, 3)), kinds
+    shape = declared.couplings[0].matrices.shape[1:] if declared.couplings else (3, 3)
+    distinct = np.array([np.frombuffer(code).reshape(shape) for code in known]).reshape(-1, *shape)
+    return list(total), distinct if len(distinct) else np.zeros((1, *shape)), kinds
 
 
 def check_joined_once(declared: Declaration, owner: Mapping[tuple[int, ...], str]) -> None:

@@ -369,7 +369,7 @@ def total_spins(
     is_uniform = bool(np.all(B == B.reshape(-1, 3)[0])) if uniform is None else uniform
     integrals: dict[str, Callable[[], Quadratic]] = {}
     if uniform is None:
-        for axis in _kernel(np.concatenate([constraints, _vector_constraints(B)])):
+        for axis in axes_orthogonal_to(np.concatenate([constraints, _vector_constraints(B)])):
             nonzero = np.flatnonzero(axis)
             name = f"S{nonzero[0] + 1}" if len(nonzero) == 1 else f"S along ({', '.join(f'{a:.6g}' for a in axis)})"
             integrals[f"total {name}"] = partial(_total_along, sites, axis, mu)
@@ -407,7 +407,7 @@ def _unique_nonzero(rows: Floats) -> Floats:
     return np.unique(rows[np.any(rows, axis=1)], axis=0)
 
 
-def _kernel(rows: Floats) -> Floats:
+def axes_orthogonal_to(rows: Floats) -> Floats:
     """Return the axes orthogonal to all rows: three, one (with largest entry 1), or none."""
     # There are never two: rotations about two axes generate those about all.
     if not len(rows):

@@ -156,7 +156,7 @@ class SpinModel(LiePoissonSystem):
             edges, numbers = edges[both], numbers[both]
         blocks = self._scaled_by_lengths(Blocks(distinct, numbers), (edges[:, 0], edges[:, 1]))
         alike = not (np.ptp(declared.g * declared.spin) or declared.substitutions)
-        moments = UNITS[declared.units].mu_B * (self.moments[:1] if alike else self.moments)
+        moments = UNITS[declared.units].mu_B * (self._moments_of_states[:1] if alike else self._moments_of_states)
         field = declared.field
         if field is None:
             field = np.zeros(3)
@@ -278,6 +278,11 @@ class SpinModel(LiePoissonSystem):
     def moments(self) -> Floats:
         """Moment g S of each spin in units of mu_B, (sites,)."""
         return self._with_substituted(self._declared.g * self._declared.spin, lambda ion: ion.g * ion.spin)
+
+    @property
+    def _moments_of_states(self) -> Floats:
+        """Moment of a state of length 1 of each spin, in units of mu_B."""
+        return self.moments
 
     def _with_substituted(self, of_cell: Floats, of_ion: Callable[[Substitution], float]) -> Floats:
         """Return numbers of the spins, from those of the sites of a cell, and of ions that are in their place."""
@@ -704,9 +709,13 @@ class SpinModel(LiePoissonSystem):
         key = (bond.first, bond.second, *bond.offset)
         if what == "exchange" and {key, (key[1], key[0], *(-n for n in key[2:]))} & set(map(tuple, listed.tolist())):
             raise ValueError(f"bond {bond.name} is in the file of this model; give it once")
-        lengths = self._declared.spin[bond.sites]
-        matrices = matrices * (lengths[:, 0] * lengths[:, 1])[:, None, None]
+        matrices = self._for_states(matrices, bond.sites)
         return self._with_coupling(what, bond.name, np.column_stack([bond.sites, bond.offsets]), matrices, text)
+
+    def _for_states(self, matrices: Floats, sites: Integers, of_directions: bool = False) -> Floats:
+        """Return the matrices of bonds that act on states, from those that act on spins, or on directions."""
+        lengths = np.ones(2) if of_directions else self._declared.spin[sites]
+        return np.asarray(matrices * (lengths[..., 0] * lengths[..., 1])[..., None, None])
 
     def _with_table(self, table: ExchangeTable, J: Any) -> Self:
         if J is not None:
@@ -719,8 +728,7 @@ class SpinModel(LiePoissonSystem):
             )
         if any(one.what == "exchange" for one in self._declared.couplings):
             raise ValueError("the model has exchange; add a table first, and bonds that it does not have afterwards")
-        lengths = np.ones(2) if table.of_directions else self._declared.spin[table.sites]
-        matrices = table.matrices * (lengths[..., 0] * lengths[..., 1])[..., None, None]
+        matrices = self._for_states(table.matrices, table.sites, table.of_directions)
         bonds = np.column_stack([table.sites, table.offsets])
         return self._with_coupling(
             "exchange", "file", bonds, matrices, f"{len(bonds)} matrices of {short(table.source)}"

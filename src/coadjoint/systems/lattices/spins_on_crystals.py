@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.declared_spins import UNITS, Declaration, check_sizes
 from coadjoint.systems.lattices.geometry import MAX_SITES, read_flags, read_sizes
@@ -20,6 +21,8 @@ from coadjoint.systems.lattices.twists import Twist
 from coadjoint.validation import read_choice, read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
+
+MODES: Mapping[str, type[SpinModel]] = {"dipole": SpinModel, "SU(N)": CoherentSpinModel}
 
 
 @suggest_keywords
@@ -34,6 +37,7 @@ def spins(
     units: str = "natural",
     twist: Any = None,
     axis: Any = (0.0, 0.0, 1.0),
+    mode: str = "dipole",
 ) -> SpinModel:
     """Return spins on the sites of a crystal, without energy; methods of the model add its terms.
 
@@ -71,6 +75,9 @@ def spins(
         leave invariant; other terms are refused. Zero along open axes.
     axis : (3,) array_like
         Axis of the twist in the Cartesian frame of the lattice; the third one by default.
+    mode : {"dipole", "SU(N)"}
+        "dipole": spins are vectors. "SU(N)": they are pure quantum states of N = 2 S + 1 levels, and the model is a
+        `CoherentSpinModel`, whose energies are operators; choose it for anisotropies as strong as the exchange.
 
     Returns
     -------
@@ -124,7 +131,8 @@ def spins(
     if not np.all(lengths >= 1.0 / MAX_COUPLING):
         raise ValueError(f"{what} is {short(moments if what == 'moments' else spin)}; lengths of spins are positive")
     turned = Twist.of(twist, axis, flags)
-    return SpinModel(Declaration(crystal, sizes, flags, choice, lengths, of_g, turned))  # type: ignore[arg-type]
+    declared = Declaration(crystal, sizes, flags, choice, lengths, of_g, turned)  # type: ignore[arg-type]
+    return MODES[read_choice(mode, "mode", MODES)](declared)
 
 
 def _of_sites(values: Any, what: str, crystal: Crystal) -> Floats:

@@ -111,6 +111,34 @@ NOINLINE void act_run(const Action& action, const C& constants, uint32_t run, do
     });
 }
 
+// Whether `SPREAD` runs, from the given one, are CUBIC blocks with an angle each, all of them circular rotations.
+template <class C>
+INLINE bool are_cubic(const Action& action, const C& constants, uint32_t run) {
+    for (uint32_t k = run; k < run + SPREAD; ++k)
+        if (action.kind[k] != CUBIC || !(constants.template number_at<double>(action.constants, action.constant[k]) < 0.0))
+            return false;
+    return true;
+}
+
+// `SPREAD` runs of CUBIC blocks of one trajectory, as at the sites of a lattice; their sines are computed side by side.
+template <Summation summation, class V, class C>
+NOINLINE void cubic_several(const Action& action, const C& constants, uint32_t run, double tau, const double* theta,
+                            const Vectors<V>& x) {
+    typedef Lanes<SPREAD> Spread;
+    double phi[SPREAD], sines[SPREAD], cosm1s[SPREAD];
+    for (uint32_t k = 0; k < SPREAD; ++k)
+        phi[k] = constants.template number_at<double>(action.constants, action.constant[run + k] + 1) *
+                 (tau * theta[action.angle[run + k]]);
+    const Rotation<Spread> rotations = rotation_by(load<Spread>(phi));
+    store(sines, rotations.sine);
+    store(cosm1s, rotations.cosm1);
+    for (uint32_t k = 0; k < SPREAD; ++k) {
+        gather(BlockRows(action, run + k), x);
+        const Rotation<double> rotation{sines[k], cosm1s[k]};
+        cubic_by<summation>(action, constants, run + k, CubicFactors<double>(action, constants, run + k, rotation), x);
+    }
+}
+
 // The runs of a part with a single angle, one after the other.
 template <Summation summation, class A, class V, class C>
 NOINLINE void act_runs(const Action& action, const C& constants, uint32_t part, double tau, A single_angle,
@@ -153,8 +181,15 @@ INLINE void act(const Action& action, const C& constants, uint32_t part, double 
         act_runs<summation>(action, constants, part, tau, single_angle, local, x);
         cached = local;
     } else {
-        for (uint32_t several = run; several < last; ++several)
+        for (uint32_t several = run; several < last; ++several) {
+            if constexpr (Numbers<A>::lanes == 1)
+                if (several + SPREAD <= last && are_cubic(action, constants, several)) {
+                    cubic_several<summation>(action, constants, several, tau, theta, x);
+                    several += SPREAD - 1;
+                    continue;
+                }
             act_run<summation>(action, constants, several, tau, theta + action.angle[several], x);
+        }
     }
 }
 

@@ -66,10 +66,23 @@ struct CubicFactors {
     template <class C>
     INLINE CubicFactors(const Action& action, const C& constants, uint32_t run, const A& theta) {
         const int64_t base = action.constant[run];
+        lam = constants.template number_at<A>(action.constants, base);
+        const A phi = constants.template number_at<A>(action.constants, base + 1) * theta;
+        scale(action, constants, base,
+              action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi));
+    }
+
+    // The factors of a circular rotation whose sine is known.
+    template <class C>
+    INLINE CubicFactors(const Action& action, const C& constants, uint32_t run, const Rotation<A>& rotation)
+        : lam(constants.template number_at<A>(action.constants, action.constant[run])) {
+        scale(action, constants, action.constant[run], rotation);
+    }
+
+  private:
+    template <class C>
+    INLINE void scale(const Action& action, const C& constants, int64_t base, const Rotation<A>& rotation) {
         auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, base + position); };
-        lam = constant(0);
-        const A phi = constant(1) * theta;
-        Rotation<A> rotation = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
         // The rounding error of the constants is added, since it would stretch every step in the same way.
         s = fma(rotation.sine, constant(2), rotation.sine * constant(3));
         c = fma(rotation.cosm1, constant(4), rotation.cosm1 * constant(5));
@@ -101,12 +114,12 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
         return;
     }
     // Rows of D and D^2 are summed in registers, during the latency of the sine.
-    for (uint32_t k = 0; k < block.width; ++k) {
+    const auto move_row = [&](uint32_t k, uint32_t first_entry, uint32_t end, const auto& column) {
         int64_t i = block.coordinates[k] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {
             V first(0.0), second(0.0), rest(0.0);
-            for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
-                V v = x.workspace[block.columns[entry] * x.rows + row];
+            for (uint32_t entry = first_entry; entry < end; ++entry) {
+                V v = x.workspace[column(entry) * x.rows + row];
                 first = fma(V(constant(values + entry)), v, first);
                 second = fma(V(constant(squares + entry)), v, second);
                 rest = fma(V(constant(rests + entry)), v, rest);
@@ -114,7 +127,15 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
             second += rest;
             add<summation>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
+    };
+    if (block.width == 3 && block.entries == 9) {
+        // Without indices: rotations of vectors about any axis, and of quadrupoles.
+#pragma GCC unroll 3
+        for (uint32_t k = 0; k < 3; ++k) move_row(k, 3 * k, 3 * k + 3, [=](uint32_t entry) { return entry - 3 * k; });
+        return;
     }
+    for (uint32_t k = 0; k < block.width; ++k)
+        move_row(k, block.starts[k], block.starts[k + 1], [&](uint32_t entry) { return block.columns[entry]; });
 }
 
 template <Summation summation, class A, class V, class C>
