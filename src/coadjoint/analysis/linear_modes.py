@@ -16,7 +16,6 @@ from coadjoint.analysis.wave_vectors import Lattice, fitting, lattice_of, spaced
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
@@ -36,7 +35,7 @@ MAX_POINTS = 100_000
 RESIDUAL = 1e-7  # largest rate of change of an equilibrium, relative to its terms
 ALIKE = 1e-6  # difference of the states of translated cells, relative to the largest coordinate
 SEMIDEFINITE = 1e-10  # negative eigenvalues of second variations down to this, relative to the largest, are zero
-SINGULAR = 16.0 * UNIT_ROUNDOFF  # the same of positive ones, for each row of the matrix
+SINGULAR = 1e-11  # the same of positive ones, which are raised to this: modes of frequency zero are resolved to 1e-5
 NO_FREQUENCY = 4.0  # frequencies below this are zero, in units of what raised eigenvalues give to a soft mode
 DIVERGENT = 1e4  # norm of a mode over that of an undisturbed one, above which its intensity is infinite
 INVISIBLE = 1e-9  # part of the amplitude of such a mode that neutrons do not see
@@ -245,7 +244,8 @@ def linear_modes(
     -----
     The motion linearized on the orbits, ``y' = P K(q) y`` with the Poisson matrices P of the sites and the second
     variation K of the energy, has modes ``y exp(i (q . r - omega t))``, ``i P K y = omega y``. Where K is positive they
-    come from its Cholesky factor (Colpa), else from eigenvalues. A mode with action hbar, which is that of one boson,
+    come from its Cholesky factor (Colpa), else from eigenvalues; where it is singular, frequencies below about 1e-5 of
+    the largest are zero. A mode with action hbar, which is that of one boson,
     gives ``hbar / N |sum over sites of S_a|^2`` with ``y* (i P)^-1 y = 1``: the intensity of linear spin wave theory of
     spins S at zero temperature. The classical S of a run at the temperature T has ``k_B T / (hbar omega)`` times it, at
     omega and at -omega.
@@ -390,14 +390,13 @@ def _normal_modes(
         lowest = float(np.min(sign * values))
         if lowest < -SEMIDEFINITE * size:
             continue
-        # Zero eigenvalues are raised above round-off.
-        least = SINGULAR * len(K) * size
-        shift = max(0.0, least - lowest) if size else 1.0
+        shift = max(0.0, SINGULAR * size - lowest) if size else 1.0
         soft = NO_FREQUENCY * np.sqrt(shift * (size or 1.0)) * float(np.linalg.norm(G, 2))
         L = np.linalg.cholesky(sign * K + shift * np.eye(len(K)))
         found, z = np.linalg.eigh(L.conj().T @ G @ L)
         positive = slice(len(K) // 2, None)
-        y = np.linalg.solve(L.conj().T, z[:, positive]) * np.sqrt(found[positive])
+        y = np.linalg.solve(L.conj().T, z[:, positive])
+        y /= np.sqrt(np.abs(np.sum(y.conj() * (inverse @ y), axis=0)))
         omega = sign * found[positive]
         omega = np.where(np.abs(omega) <= soft, 0.0, omega)
         order = np.argsort(omega, kind="stable")
