@@ -282,7 +282,8 @@ def linear_modes(
     waves = spaced_waves(lattice, path, read_integer(points, "points", 1, MAX_POINTS))
     waves = measured_waves(neutrons, waves, lattice, system)
     bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(one.bonds for one in system._declared.couplings)])
-    axes, hbar = np.broadcast_to(np.eye(3), (len(system.sites), 3, 3)), UNITS[system.units].hbar
+    count, hbar = len(system.sites), UNITS[system.units].hbar
+    axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
     places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, lattice, hbar)
     form = second_variation(system, places, momenta[0])
     images = waves.images

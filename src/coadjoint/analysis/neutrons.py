@@ -15,6 +15,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import label_of
+from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.space_groups import rotations_in_space
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
@@ -167,14 +168,27 @@ def measured_waves(neutrons: Neutrons | None, waves: WaveVectors, lattice: Latti
     return turned_waves(waves, lattice, rotations)
 
 
+def spins_of_states(model: SpinModel) -> Floats:
+    """Return the length of the spin S of each site whose coordinates have length 1, (sites,)."""
+    # The first three coordinates of a site are the direction of S, or S itself; their bracket [1, 2] = 3 / (hbar S).
+    i, j, k, c = model.algebra.triples
+    d = model.dim // len(model.sites)
+    rotations = (i % d == 0) & (j % d == 1) & (k % d == 2)
+    lengths = np.empty(len(model.sites))
+    lengths[i[rotations] // d] = 1.0 / (UNITS[model.units].hbar * c[rotations].astype(np.float64))
+    return lengths
+
+
 def scattering_lengths(neutrons: Neutrons | None, system: Any, lengths: Floats) -> Any:
-    """Return the lengths of the spins, or of moments times form factors at lengths of q, as (k or 1, sites) or 1."""
+    """Return what states of length 1 scatter at lengths of q, as (k or 1, sites), or 1 for lattices by name."""
     if not isinstance(system, SpinModel):
         return 1.0
+    spins = spins_of_states(system)
     if neutrons is None:
-        return system.spin
+        return spins
+    moments = spins * (system.moments / system.spin)
     if neutrons.form_factors is None:
-        return system.moments
+        return moments
     declared, labels, given = system._declared, system.crystal.labels, neutrons.form_factors
     ions = {label_of(system.crystal, label, "a label of form_factors"): ion for label, ion in given.items()}
     if len(ions) < len(given) or set(labels) - set(ions):
@@ -192,7 +206,7 @@ def scattering_lengths(neutrons: Neutrons | None, system: Any, lengths: Floats) 
         )
     pairs = zip(labels, declared.g.tolist(), strict=True)
     factors = np.array([neutrons.form_factor(ions[label], lengths, g) for label, g in pairs])
-    return system.moments * factors.T[:, system.sites]
+    return moments * factors.T[:, system.sites]
 
 
 def intensity(neutrons: Neutrons | None, amplitudes: NDArray[Any], q: Floats) -> Floats:

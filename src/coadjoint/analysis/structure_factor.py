@@ -298,14 +298,15 @@ def structure_factor(
     first = solution.system.distinct[0].unforced
     check_neutrons(neutrons, first, lattice)
     signal = sampled(solution, None, MIN_TIMES)
-    members, count, n = signal.values.shape
+    members, count, _ = signal.values.shape
     waves = measured_waves(neutrons, commensurate_waves(lattice, path), lattice, first)
     images = fitting(lattice, waves.images, "path, turned by a domain,")
     k = len(waves.q)
     weight = _window(window, count)
     spacing = float(signal.t[-1] - signal.t[0]) / (count - 1)
     squares = float(np.sum(weight**2))
-    scale = abs(spacing) / (2.0 * np.pi * (n // 3) * squares)
+    spins = len(places_of(first, lattice))
+    scale = abs(spacing) / (2.0 * np.pi * spins * squares)
     every = max(1, NUMBERS_AT_ONCE // count)
     parts = [slice(start, start + every) for start in range(0, len(images), every)]
     mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros(k)
@@ -321,7 +322,7 @@ def structure_factor(
             spectrum = count * np.fft.ifft(amplitudes * weight, axis=2)
             sums[:3, part] = np.abs(spectrum) ** 2
             sums[3, part] = intensity(neutrons, spectrum, cartesian)
-        static += waves.averaged(equal, 0) / (n // 3 * squares * members)
+        static += waves.averaged(equal, 0) / (spins * squares * members)
         power = scale * waves.averaged(sums, 1)
         # Welford's update.
         before = mean[3].copy()
@@ -375,8 +376,9 @@ def _window(window: Any, count: int) -> Floats:
 def _amplitudes(
     rows: Floats, system: Any, lattice: Lattice, q: Floats, neutrons: Neutrons | None
 ) -> NDArray[np.complex128]:
-    """Return the sums of the spins (times, 3 sites) times exp(-i q . r), or of their moments, shape (3, k, times)."""
-    phase = 2.0 * np.pi * (q @ places_of(system, lattice).T)
+    """Return the sums of the spins of states (times, n) times exp(-i q . r), or of moments, shape (3, k, times)."""
+    places = places_of(system, lattice)
+    phase = 2.0 * np.pi * (q @ places.T)
     lengths = scattering_lengths(neutrons, system, np.linalg.norm(q @ lattice.reciprocal, axis=1))
     waves = np.ascontiguousarray(np.concatenate([lengths * np.cos(phase), lengths * -np.sin(phase)]).T)
     count, n = rows.shape
@@ -386,6 +388,6 @@ def _amplitudes(
     for first in range(0, count, every):
         part = slice(first, first + every)
         for axis in range(3):
-            sums = np.ascontiguousarray(rows[part, axis::3]) @ waves
+            sums = np.ascontiguousarray(rows[part, axis :: n // len(places)]) @ waves
             result[axis, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
     return result
