@@ -190,7 +190,7 @@ def scattering_lengths(neutrons: Neutrons | None, system: Any, lengths: Floats) 
     if neutrons.form_factors is None:
         return moments
     declared, labels, given = system._declared, system.crystal.labels, neutrons.form_factors
-    ions = {label_of(system.crystal, label, "a label of form_factors"): ion for label, ion in given.items()}
+    ions = {label_of(system.crystal, label, "label"): ion for label, ion in given.items()}
     if len(ions) < len(given) or set(labels) - set(ions):
         raise ValueError(
             f"form_factors has {', '.join(map(str, given))}; give each of {', '.join(dict.fromkeys(labels))} once"
