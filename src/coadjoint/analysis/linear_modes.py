@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Complex = NDArray[Any]  # of complex numbers
 
 MAX_POINTS = 100_000
 RESIDUAL = 1e-7  # largest rate of change of an equilibrium, relative to its terms
@@ -191,7 +192,7 @@ class QuadraticForm(NamedTuple):
     translations: int
     whole: bool  # whether the steps hold only modulo the size of the lattice
 
-    def at(self, q: Floats) -> NDArray[np.complex128]:
+    def at(self, q: Floats) -> Complex:
         """Return the Hermitian matrix at a wave vector."""
         spins, _, r = self.tangents.shape
         K = np.zeros((spins, spins, r, r), dtype=np.complex128)
@@ -351,19 +352,19 @@ def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticF
         second.append(numbers[others])
         steps.append(cells + positions[others] - positions[spin])
         found.append(Ut[a] @ blocks[spin].swapaxes(0, 1)[others] @ U[numbers[others]])
-    joined = (np.concatenate(part) for part in (first, second, steps, found))
-    return QuadraticForm(*joined, poisson, U, spins, translations, whole)
+    ends = np.concatenate(first), np.concatenate(second)
+    return QuadraticForm(*ends, np.concatenate(steps), np.concatenate(found), poisson, U, spins, translations, whole)
 
 
 def modes_at(
     form: QuadraticForm, places: SitesOfSpins, images: Floats, scattering: Floats
-) -> tuple[Floats, Floats, NDArray[np.complex128], Floats]:
+) -> tuple[Floats, Floats, Complex, Floats]:
     """Return frequencies and growth (k, modes), amplitudes (3, k, modes), and sizes of those that diverge, else 0."""
     spins, _, r = form.tangents.shape
     G = np.zeros((spins * r, spins * r), dtype=np.complex128)
     for a in range(spins):
         G[a * r : (a + 1) * r, a * r : (a + 1) * r] = 1j * form.poisson[a]
-    inverse = np.linalg.inv(G)
+    inverse: Complex = np.linalg.inv(G)
     components = np.einsum("sad,sdr->asr", places.spins[form.spins], form.tangents).reshape(3, -1)
     undisturbed = 1.0 / np.linalg.norm(inverse, 2)
     scale = np.sqrt(places.hbar * form.translations / len(places.sites))
@@ -381,9 +382,7 @@ def modes_at(
     return frequencies, growth, amplitudes, reference
 
 
-def _normal_modes(
-    K: NDArray[np.complex128], G: NDArray[np.complex128], inverse: NDArray[np.complex128]
-) -> tuple[Floats, Floats, NDArray[np.complex128]]:
+def _normal_modes(K: Complex, G: Complex, inverse: Complex) -> tuple[Floats, Floats, Complex]:
     """Return frequencies, growth and vectors y of the modes of G K with y* G^-1 y = 1, half as many as rows."""
     values = np.linalg.eigvalsh(K)
     size = float(np.max(np.abs(values), initial=0.0))
@@ -405,9 +404,7 @@ def _normal_modes(
     return _indefinite_modes(G @ K, inverse)
 
 
-def _indefinite_modes(
-    matrix: NDArray[np.complex128], inverse: NDArray[np.complex128]
-) -> tuple[Floats, Floats, NDArray[np.complex128]]:
+def _indefinite_modes(matrix: Complex, inverse: Complex) -> tuple[Floats, Floats, Complex]:
     """Return the same of a second variation of both signs, by eigenvalues; vectors of growing modes are NaN."""
     values, y = np.linalg.eig(matrix)
     largest = float(np.abs(values).max())
@@ -425,7 +422,9 @@ def _indefinite_modes(
     kept = kept[np.argsort(values[kept].real, kind="stable")]
     with np.errstate(invalid="ignore", divide="ignore"):
         y = np.where(growing[kept], np.nan, y[:, kept] / np.sqrt(np.abs(norms[kept])))
-    return values[kept].real, np.where(growing[kept], np.abs(values[kept].imag), 0.0), y
+    kept_values, grows = values[kept], growing[kept]
+    still = grows & (np.abs(kept_values.real) <= GROWTH * largest)
+    return np.where(still, 0.0, kept_values.real), np.where(grows, np.abs(kept_values.imag), 0.0), y
 
 
 def _blocks_of_sites(system: Any, x: Floats, gradient: Floats, count: int) -> tuple[Floats, Floats]:

@@ -218,8 +218,8 @@ def spaced_waves(lattice: Lattice, where: Any, points: int) -> WaveVectors:
         owner = np.repeat(np.arange(len(middle)), points)
         return _of_lengths(middle, images.reshape(-1, images.shape[-1]), owner)
     if isinstance(where, Plane):
-        corner, *edges = _read_corners(lattice, [where.origin, where.first, where.second], "plane")
-        return _grid(lattice, corner, [edge / points for edge in edges], [points, points])
+        corner, first, second = _read_corners(lattice, [where.origin, where.first, where.second], "plane")
+        return _grid(lattice, corner, [first / points, second / points], [points, points])
     corners = _read_corners(lattice, where, "path")
     lengths = np.linalg.norm(np.diff(corners, axis=0) @ lattice.reciprocal, axis=1)
     parts = [corners[:1]]

@@ -155,8 +155,8 @@ def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
     grid = spectrum.integrated(low, high).reshape(spectrum.shape).T
     first, second = (spectrum.q[spectrum.corners[corner]] - spectrum.q[0] for corner in (2, 1))
     top = float(grid.max()) or 1.0
-    parts = (_edges(np.linspace(0.0, 1.0, count)) for count in spectrum.shape)
-    _draw_colours(axes, *parts, grid, max(top * 10.0**-DECADES, float(grid[grid > 0.0].min(initial=top)) * 0.999), top)
+    x, y = (_edges(np.linspace(0.0, 1.0, count)) for count in spectrum.shape)
+    _draw_colours(axes, x, y, grid, top * 10.0**-DECADES, top)
     origin = corner_name(spectrum.q[0])
     axes.set(xlabel=f"{origin} + x {corner_name(first)}", ylabel=f"{origin} + y {corner_name(second)}")
     axes.set_title(f"structure factor, energies from {low:.4g} to {high:.4g}")
