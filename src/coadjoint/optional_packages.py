@@ -33,6 +33,7 @@ EXTRAS = {
     "spiceypy": "spice",
     "gemmi": "crystals",
     "spglib": "crystals",
+    "periodictable": "crystals",
     "jax": "jax",
     "torch": "torch",
 }

@@ -73,6 +73,7 @@ BONDS.write_text("i,j,n1,n2,n3,J\n0,0,1,0,0,1\n")
 CUBE = co.spins.crystal(lattice=(1.0, 1.0, 1.0, 90.0, 90.0, 90.0), sites={"Fe": (0.0, 0.0, 0.0)})
 DIMERS = co.spins.crystal(lattice=(3.0, 3.0, 3.0, 90.0, 90.0, 90.0), sites={"Fe": (0.1, 0.2, 0.0)}, space_group="P 1")
 MODEL = co.systems.spins(DIMERS, (3, 3, 3))
+UP = np.tile([0.0, 0.0, 1.0], 27)
 
 OBJECTS = {
     "AttitudeLog": LOG,
@@ -92,12 +93,15 @@ OBJECTS = {
     "MatrixSystem": TURNING,
     "MassProperties": co.bodies.read(ROBOT),
     "Method": co.GaussLegendre(2),
+    "LinearModes": co.spectra.linear_modes(MODEL.field((0, 0, 1)), UP, [(0, 0, 0), (1, 0, 0)], 3),
     "ModifiedField": FIELD,
+    "Neutrons": co.spectra.Neutrons(),
     "PhaseDrift": co.phase_drift(LONG),
     "Polynomial": P,
     "PreparedRun": READY,
     "Solution": LONG,
     "Splitting": co.Splitting(),
+    "StructureFactor": co.spectra.structure_factor(WAVES),
     "Stepper": co.stepper(BODY, co.Splitting(), 0.1),
     "System": BODY,
 }
@@ -164,6 +168,14 @@ OWN = {
     "co.fit": {"t_span": (0, 2), "sigma": {"x": 1.0}},
     "co.thermal_states": {"system": co.systems.spin_lattice(), "members": 2, "sweeps": 2},
     "co.spectra.structure_factor": {"solution": WAVES},
+    "co.spectra.linear_modes": {"system": MODEL, "state": UP, "path": [(0, 0, 0), (1, 0, 0)], "points": 3},
+    "co.spectra.Neutrons": {"form_factors": {"Fe": "Fe2+"}, "domains": [EYE]},
+    "co.spectra.Plane": {"origin": X, "first": EYE[0], "second": EYE[1]},
+    "co.spectra.Powder": {"edges": [0.5, 1.0, 1.5]},
+    "Neutrons.form_factor": {"ion": "Fe2+", "g": 1.5},
+    "StructureFactor.broadened": {"fwhm": 0.5},
+    "StructureFactor.integrated": {"low": 0.0, "high": 1.0},
+    "LinearModes.spectrum": {"energies": [0.0, 0.5, 1.0], "fwhm": 0.5},
     "co.bodies.MassProperties": {"mass": 1.0, "inertia": (1.0, 2.0, 2.5)},
     "co.bodies.read": {"path": ROBOT},
     "co.spins.crystal": {"lattice": (1.0, 1.0, 1.0, 90.0, 90.0, 90.0), "sites": {"Fe": (0.0, 0.0, 0.0)}},
@@ -239,7 +251,7 @@ OWN = {
 # does not check them again, or lower calls whose states have been checked.
 LEFT_OUT = re.compile(
     r"\.(plot|movie)\(|co\.plotting\.|co\.torch|co\.jax|workers|co\.methods\.(Coeff|Oper|Sweep|Work|begin|iterate|regis|"
-    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|checkcases|spectra)\.[A-Z]|co\.orbits\.(Epoch|OrbitStates)|describe_to|"
+    r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|checkcases)\.[A-Z]|co\.spectra\.(Auto|Linear|Struct)|co\.orbits\.(Epoch|OrbitStates)|describe_to|"
     r"Force\.(flow|check|field)|hamiltonian_field|co\.System\(|"
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"

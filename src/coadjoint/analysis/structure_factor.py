@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from coadjoint.analysis.neutrons import (
+    Neutrons,
+    check_neutrons,
+    intensity,
+    measured_waves,
+    quantum_factor,
+    scattering_lengths,
+)
 from coadjoint.analysis.signals import sampled
 from coadjoint.analysis.standard_errors import student_factor
+from coadjoint.analysis.wave_vectors import Lattice, commensurate_waves, common_lattice, fitting, places_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
-from coadjoint.systems.lattices.declared_spins import cells_text
-from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, has_cell, reciprocal_edges, sizes_of
-from coadjoint.systems.lattices.space_groups import inverse
+from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
-from coadjoint.validation import read_finite, read_number
+from coadjoint.validation import read_finite, read_list, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,37 +37,42 @@ Floats = NDArray[np.float64]
 
 MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
-
-COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
-MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
+FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # full width at half maximum of a Gaussian, in standard deviations
 
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class StructureFactor:
-    """The dynamic structure factor of spins along a path in reciprocal space; `structure_factor` computes it.
+    """The dynamic structure factor of spins in reciprocal space; `structure_factor` computes it.
 
     Attributes
     ----------
     q : ndarray, shape (k, axes)
-        Wave vectors, in units of the reciprocal edges of the cell: (h, k, l) of crystals.
+        Wave vectors, in units of the reciprocal edges of the cell: (h, k, l) of crystals. Of a powder the middle
+        lengths of the shells, (k, 1).
     omega : ndarray, shape (m,)
-        Angular frequencies, ascending, positive and negative.
+        Angular frequencies, ascending; of runs positive and negative.
     intensity : ndarray, shape (k, m)
-        S(q, omega), summed over the three components of the spins, mean of the members.
+        S(q, omega), summed over the three components of the spins, mean of the members; or what neutrons measure.
     error : ndarray, shape (k, m)
         Its standard error, from the scatter of the members with Student's factor: two errors hold 95 of 100 values of
-        several waves, 90 of a single one, whose intensity is distributed exponentially. NaN for a single run.
+        several waves, 90 of a single one, whose intensity is distributed exponentially. NaN for a single run, and of
+        modes.
     components : ndarray, shape (3, k, m)
-        The same for each component.
+        The same for each component, without the polarization factor.
     static : ndarray, shape (k,)
         Equal-time structure factor S(q) of the same states, the mean over times (weighted by the square of the window)
-        and members.
+        and members. Of modes the sum of their intensities.
     distance : ndarray, shape (k,)
         Length of the path from its start, in the inverse unit of length of a crystal (1/angstrom for units of meV), and
-        in units of the inverse distance between neighbours for lattices by name. It has the factor 2 pi.
+        in units of the inverse distance between neighbours for lattices by name. It has the factor 2 pi. Of a plane the
+        distance from its origin, of a powder the length of q.
     corners : ndarray of int, shape (corners,)
-        Indices of the corners of the path.
+        Indices of the corners of the path or the plane.
+    shape : tuple of int
+        ``(k,)``, or (first, second) wave vectors of the grid of a plane.
+    hbar : float
+        Energy of a unit of `omega`: 0.658 meV ps for units of meV, else 1.
     """
 
     q: Floats
@@ -72,6 +83,8 @@ class StructureFactor:
     static: Floats
     distance: Floats
     corners: NDArray[np.int64]
+    shape: tuple[int, ...]
+    hbar: float
 
     def __repr__(self) -> str:
         return (
@@ -79,21 +92,148 @@ class StructureFactor:
             f"{self.omega[-1]:.4g}>"
         )
 
-    def plot(self) -> Figure:
-        """Plot S(q, omega) as colours over the path and positive frequencies.
+    @property
+    def energy(self) -> Floats:
+        """Energies hbar omega, in the unit of the model, (m,)."""
+        return self.hbar * self.omega
+
+    def broadened(self, fwhm: float | Callable[[Any], Any]) -> StructureFactor:
+        """Return the structure factor with the energy resolution of an instrument.
+
+        Parameters
+        ----------
+        fwhm : float or callable
+            Full width at half maximum of a Gaussian, an energy, in the unit of the model; or a function of an array of
+            energy transfers that returns those widths.
+
+        Returns
+        -------
+        StructureFactor
+            The intensity of each frequency is distributed over all with the width there, and sums over frequencies stay
+            as they are. Errors are those of independent frequencies.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Widths that are not positive, or of another number.
+
+        Examples
+        --------
+        >>> import numpy as np, coadjoint as co
+        >>> ring = co.systems.spin_lattice("ring", 8, field=(0, 0, 1.0))
+        >>> sol = co.integrate(ring, np.tile([0.6, 0, 0.8], 8), (0, 40), 0.05, save_every=5)
+        >>> S = co.spectra.structure_factor(sol, [0, 1 / 2])
+        >>> broad = S.broadened(lambda energy: 0.2 + 0.1 * abs(energy))
+        >>> bool(broad.intensity.max() < S.intensity.max()), bool(np.isclose(broad.intensity.sum(), S.intensity.sum()))
+        (True, True)
+        """
+        kernel = resolution(self.energy, self.energy, fwhm)
+        kernel /= kernel.sum(axis=0)
+        with np.errstate(invalid="ignore"):
+            error = np.sqrt(self.error**2 @ (kernel**2).T)
+        spectrum, components = self.intensity @ kernel.T, self.components @ kernel.T
+        return replace(self, intensity=spectrum, error=error, components=components)
+
+    def integrated(self, low: float, high: float) -> Floats:
+        """Return the intensity between two energies, such as of a cut or a map at constant energy.
+
+        Parameters
+        ----------
+        low, high : float
+            Energy transfers, in the unit of the model.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            The integral over omega. A frequency counts with the part of the distance between frequencies that is
+            inside.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Energies that do not ascend, or beyond the largest, which the distance of the saved times limits.
+
+        Examples
+        --------
+        >>> import numpy as np, coadjoint as co
+        >>> ring = co.systems.spin_lattice("ring", 8, field=(0, 0, 1.0))
+        >>> sol = co.integrate(ring, np.tile([0.6, 0, 0.8], 8), (0, 40), 0.05, save_every=5)
+        >>> S = co.spectra.structure_factor(sol, [0, 1 / 2])
+        >>> bool(S.integrated(0.5, 1.5)[0] > 0.9 * S.integrated(0.5, 4)[0])
+        True
+        """
+        first, last = _read_energies(self.energy, (low, high))
+        width = float(self.omega[1] - self.omega[0])
+        edges = np.array([first, last]) / self.hbar
+        inside = np.clip(self.omega + 0.5 * width, *edges) - np.clip(self.omega - 0.5 * width, *edges)
+        return np.asarray(self.intensity @ inside)
+
+    def plot(self, energies: Any = None, modes: Any = None) -> Figure:
+        """Plot S(q, omega) as colours, over a path and energies, or over a plane.
+
+        Parameters
+        ----------
+        energies : (float, float), optional
+            The energies shown; of a plane those over which it is integrated. By default positive ones, on a path those
+            up to the largest that is visible.
+        modes : LinearModes, optional
+            Modes of the same path, drawn as lines.
 
         Returns
         -------
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Energies beyond those of S; modes of another path or of a powder.
         """
-        figure: Figure = shortcut("draw_result")("structure factor", self)
+        window = None if energies is None else _read_energies(self.energy, energies)
+        figure: Figure = shortcut("draw_result")("structure factor", self, window, modes)
         return figure
+
+
+def _read_energies(energies: Floats, given: Any) -> tuple[float, float]:
+    """Validate a range of energies, within those of a structure factor."""
+    pair = read_list(given, "energies", "give (low, high)")
+    if len(pair) != 2:
+        raise ValueError(f"energies is {short(given)}; give (low, high)")
+    low, high = (read_number(value, "energies") for value in pair)
+    lowest, largest = energies[[0, -1]].tolist()
+    if not low < high:
+        raise ValueError(f"energies is {short((low, high))}; give the lower one first")
+    slack = 1e-9 * max(abs(lowest), largest)
+    if high > largest + slack or low < lowest - slack:
+        raise ValueError(
+            f"energies is {short((low, high))}, and S has those from {lowest:.6g} to {largest:.6g}; for larger ones, "
+            "save more times of the run"
+        )
+    return low, high
+
+
+def resolution(energies: Floats, centres: Floats, fwhm: Any) -> Floats:
+    """Return Gaussians of a full width at half maximum, a number or a function, (energies, centres)."""
+    if callable(fwhm):
+        widths = read_finite(fwhm(np.array(centres)), "the widths of fwhm")
+        if widths.shape not in ((), centres.shape):
+            raise ValueError(f"fwhm returns the shape {widths.shape}; it must return a width for each energy")
+        widths = np.broadcast_to(widths, centres.shape)
+    else:
+        widths = np.full(centres.shape, read_number(fwhm, "fwhm"))
+    wrong = np.flatnonzero(~(widths > 0.0))
+    if wrong.size:
+        raise ValueError(f"fwhm is {widths[wrong[0]]:g} at the energy {centres[wrong[0]]:g}; widths are positive")
+    sigma = widths / FWHM
+    with np.errstate(over="ignore", under="ignore"):
+        return np.asarray(np.exp(-0.5 * ((energies[:, None] - centres) / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
 
 
 @suggest_keywords
 @long_operation("structure_factor")
-def structure_factor(solution: Solution, path: ArrayLike | None = None, window: Any = "hann") -> StructureFactor:
+def structure_factor(
+    solution: Solution, path: Any = None, window: Any = "hann", neutrons: Neutrons | None = None
+) -> StructureFactor:
     """Return the dynamic structure factor S(q, omega) of spins from a run, the mean over its members.
 
     Choose it for spin-wave spectra, linewidths and comparisons with neutron scattering. Start the members from
@@ -106,15 +246,18 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
         times. The largest frequency is pi over their distance; faster motion is aliased. The models of members may
         differ in couplings, vacancies and substituted ions, not in the crystal and its size. An archive of a model is
         read with it: ``co.load(path, system=model)``.
-    path : (corners, axes) array_like, optional
+    path : (corners, axes) array_like, Plane or Powder, optional
         Corners of a path in reciprocal space, in units of the reciprocal edges of the cell: (h, k, l) of a crystal, in
         the cell of ``model.crystal``. h times the cells of its axis must be a whole number, as k and l; S is computed
         at all such wave vectors on the lines between the corners. Crystals need a path. For chains by name numbers
         suffice, and None is the usual path of lattices by name: the first zone of chains; Gamma, X, M, Gamma of square
-        ones, Gamma, M, K, Gamma of triangular, honeycomb and kagome ones; Gamma, X, M, R, Gamma of cubic ones.
+        ones, Gamma, M, K, Gamma of triangular, honeycomb and kagome ones; Gamma, X, M, R, Gamma of cubic ones. A
+        `Plane` has all wave vectors of a parallelogram, and a `Powder` means over shells.
     window : str, tuple or None
         Window over the time by its name in `scipy.signal.get_window`, with its parameters: ``("kaiser", 8.0)``; None is
         none, as is ``"boxcar"``.
+    neutrons : Neutrons, optional
+        Form factors, polarization factor, temperature and domains, of models on crystals.
 
     Returns
     -------
@@ -124,9 +267,9 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     ------
     ValueError
         The system has no lattice in space, the members have different ones, a crystal has no path, the times are not
-        equidistant, a corner does not fit the lattice, a member failed, or the window is unknown.
+        equidistant, a corner does not fit the lattice, a shell is empty, a member failed, or the window is unknown.
     TypeError
-        Not a solution.
+        Not a solution, or not `Neutrons`.
 
     Notes
     -----
@@ -134,7 +277,8 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     a wave with positive omega travels along q. The sum over all frequencies times their distance is the equal-time
     structure factor ``|sum over i of S_a,i exp(-i q . r_i)|^2 / N``, exactly. Sites of cells with several are at their
     positions, so that S is not periodic in q there. Spins of a model on a crystal are S times their directions, without
-    g and form factors, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins of `spin_lattice` are the state, whatever their moments.
+    g and form factors unless `neutrons` are given, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins
+    of `spin_lattice` are the state, whatever their moments.
 
     Examples
     --------
@@ -151,114 +295,63 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     True
     """
     check_solution(solution)
-    lattice = _lattice(solution)
+    lattice = common_lattice(solution.system)
+    first = solution.system.distinct[0].unforced
+    check_neutrons(neutrons, first, lattice)
     signal = sampled(solution, _directions_in(solution.system), MIN_TIMES)
-    members, count, n = signal.values.shape
-    q, distance, corners = reciprocal_path(lattice, path)
-    k = len(q)
+    members, count, _ = signal.values.shape
+    waves = measured_waves(neutrons, commensurate_waves(lattice, path), lattice, first)
+    images = fitting(lattice, waves.images, "path, turned by a domain,")
+    k = len(waves.q)
     weight = _window(window, count)
     spacing = float(signal.t[-1] - signal.t[0]) / (count - 1)
-    scale = abs(spacing) / (2.0 * np.pi * (n // 3) * np.sum(weight**2))
-    system = None
-    mean, square, static = np.zeros((3, k, count)), np.zeros((k, count)), np.zeros(k)
+    squares = float(np.sum(weight**2))
+    spins = len(places_of(first, lattice))
+    scale = abs(spacing) / (2.0 * np.pi * spins * squares)
+    every = max(1, NUMBERS_AT_ONCE // count)
+    parts = [slice(start, start + every) for start in range(0, len(images), every)]
+    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros(k)
     for member, rows in enumerate(signal.values):
-        if system is not solution.system.of_member(member):
-            system = solution.system.of_member(member)
-            waves = _waves(system.unforced, lattice, q)
-        amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], waves)
-        static += np.sum(np.abs(amplitudes) ** 2 * weight**2, axis=(0, 2)) / (n // 3 * np.sum(weight**2) * members)
-        # ifft has the sign of exp(+i omega t), and divides by the number of times.
-        power = scale * np.abs(count * np.fft.ifft(amplitudes * weight, axis=2)) ** 2
-        total = power.sum(axis=0)
+        system = solution.system.of_member(member).unforced
+        sums, equal = np.empty((4, len(images), count)), np.empty(len(images))
+        for part in parts:
+            q = images[part]
+            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, q, neutrons)
+            cartesian = q @ lattice.reciprocal
+            equal[part] = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1)
+            # ifft has the sign of exp(+i omega t), and divides by the number of times.
+            spectrum = count * np.fft.ifft(amplitudes * weight, axis=2)
+            sums[:3, part] = np.abs(spectrum) ** 2
+            sums[3, part] = intensity(neutrons, spectrum, cartesian)
+        static += waves.averaged(equal, 0) / (spins * squares * members)
+        power = scale * waves.averaged(sums, 1)
         # Welford's update.
-        before = mean.sum(axis=0)
+        before = mean[3].copy()
         mean += (power - mean) / (member + 1)
-        square += (total - before) * (total - mean.sum(axis=0))
+        square += (power[3] - before) * (power[3] - mean[3])
         note_progress("the spectrum of a member", (member + 1) / members)
     with np.errstate(invalid="ignore"):
         error = np.sqrt(square / (members - 1) / members) if members > 1 else np.full_like(square, np.nan)
         error *= student_factor(members - 1)
     order = np.argsort(np.fft.fftfreq(count), kind="stable")
     omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
-    spectrum = mean[:, :, order]
-    return StructureFactor(q, omega, spectrum.sum(axis=0), error[:, order], spectrum, static, distance, corners)
-
-
-class Lattice(NamedTuple):
-    """Text for errors, cells along the axes, sites of a cell and reciprocal edges, and the usual path, if any."""
-
-    text: str
-    sizes: tuple[int, ...]
-    sites: Floats  # in units of the edges
-    reciprocal: Floats
-    path: Any
-
-
-def lattice_by_name(name: str, shape: Any) -> Lattice:
-    """Return a lattice of `CELLS`."""
-    sizes = sizes_of(shape)
-    sites = cell_coordinates(name, (1,) * len(sizes))
-    return Lattice(f"{name}, {cells_text(sizes)} cells", sizes, sites, reciprocal_edges(name), CELLS[name].path)
-
-
-def _lattice(solution: Solution) -> Lattice:
-    """Return the lattice that the members of a run have in common; ValueError if there is none."""
-    first, *others = (_lattice_of(member.unforced) for member in solution.system.distinct)
-    for other in others:
-        if other.sizes != first.sizes or not all(map(np.array_equal, first[2:4], other[2:4])):
-            raise ValueError(
-                f"the members have different lattices ({first.text}, and {other.text}); integrate those of one lattice"
-            )
-    return first
-
-
-def _lattice_of(system: Any) -> Lattice:
-    if isinstance(system, SpinModel):
-        if any(system.twist):
-            raise ValueError(
-                f"{system!r} is twisted by {system.twist}; structure_factor needs a lattice without a twist"
-            )
-        crystal, text = system.crystal, f"{system.crystal!r}, {cells_text(system.size)} cells"
-        return Lattice(text, system.size, crystal.positions, 2.0 * np.pi * inverse(crystal.lattice).T, None)
-    name = system.layout.get("lattice")
-    if not has_cell(name):
-        raise ValueError(
-            f"{system.name} has no lattice in space; structure_factor needs a model of co.systems.spins (which "
-            f"co.load takes as system=, since archives have no crystals), or one of {', '.join(CELLS)}, as "
-            "spin_lattice and layout= give"
-        )
-    shape, axes = system.layout.get("shape"), len(CELLS[name].edges)
-    if shape is None or len(sizes_of(shape)) != axes:
-        raise ValueError(f"the shape in layout of {system.name} is {short(shape)}; {name} has cells along {axes} axes")
-    lattice = lattice_by_name(name, shape)
-    sites = len(lattice.sites) * math.prod(lattice.sizes)
-    if 3 * sites != system.dim:
-        raise ValueError(f"the lattice of {system.name} has {sites} sites, and its states {system.dim} coordinates")
-    return lattice
-
-
-def _directions_in(system: Any) -> Callable[[Any], Floats] | None:
-    """Return the function of states whose values are dipoles over S; None if states are directions of spins."""
-    model = system.distinct[0].unforced
-    if not isinstance(model, CoherentSpinModel):
-        return None
-
-    def directions(x: Any) -> Floats:
-        found = model.dipoles(x) / model.spin[:, None]
-        return np.asarray(found.reshape(*found.shape[:-2], -1))
-
-    return directions
-
-
-def _waves(system: Any, lattice: Lattice, q: Floats) -> Floats:
-    """Return the lengths of the spins times cosines and negative sines of q . r, (sites, 2 k)."""
-    lengths: Any = 1.0
-    if isinstance(system, SpinModel):
-        places, lengths = system.cells + lattice.sites[system.sites], system.spin
-    else:
-        places = cell_coordinates(system.layout["lattice"], lattice.sizes)
-    phase = 2.0 * np.pi * (q @ places.T)
-    return np.ascontiguousarray((lengths * np.concatenate([np.cos(phase), -np.sin(phase)])).T)
+    hbar = UNITS[first.units].hbar if isinstance(first, SpinModel) else 1.0
+    factor = np.ones(count)
+    if neutrons is not None and neutrons.temperature is not None:
+        factor = quantum_factor(hbar * omega, first.boltzmann * neutrons.temperature)
+    mean = mean[:, :, order] * factor
+    return StructureFactor(
+        waves.q,
+        omega,
+        mean[3],
+        error[:, order] * factor,
+        mean[:3],
+        static,
+        waves.distance,
+        waves.corners,
+        waves.shape,
+        hbar,
+    )
 
 
 def _window(window: Any, count: int) -> Floats:
@@ -281,54 +374,34 @@ def _window(window: Any, count: int) -> Floats:
     return weight
 
 
-def _amplitudes(rows: Floats, waves: Floats) -> NDArray[np.complex128]:
-    """Return the sums of spins (times, 3 sites) times `waves` as complex numbers, shape (3, k, times)."""
+def _directions_in(system: Any) -> Callable[[Any], Floats] | None:
+    """Return the function of states whose values are dipoles over S; None if states are directions of spins."""
+    model = system.distinct[0].unforced
+    if not isinstance(model, CoherentSpinModel):
+        return None
+
+    def directions(x: Any) -> Floats:
+        found = model.dipoles(x) / model.spin[:, None]
+        return np.asarray(found.reshape(*found.shape[:-2], -1))
+
+    return directions
+
+
+def _amplitudes(
+    rows: Floats, system: Any, lattice: Lattice, q: Floats, neutrons: Neutrons | None
+) -> NDArray[np.complex128]:
+    """Return the sums of the spins of states (times, n) times exp(-i q . r), or of moments, shape (3, k, times)."""
+    places = places_of(system, lattice)
+    phase = 2.0 * np.pi * (q @ places.T)
+    lengths = scattering_lengths(neutrons, system, np.linalg.norm(q @ lattice.reciprocal, axis=1))
+    waves = np.ascontiguousarray(np.concatenate([lengths * np.cos(phase), lengths * -np.sin(phase)]).T)
     count, n = rows.shape
-    k = waves.shape[1] // 2
+    k = len(q)
     result = np.empty((3, k, count), dtype=np.complex128)
     every = max(1, NUMBERS_AT_ONCE // n)
     for first in range(0, count, every):
         part = slice(first, first + every)
         for axis in range(3):
-            sums = np.ascontiguousarray(rows[part, axis::3]) @ waves
+            sums = np.ascontiguousarray(rows[part, axis :: n // len(places)]) @ waves
             result[axis, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
     return result
-
-
-def reciprocal_path(lattice: Lattice, path: Any) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return commensurate wave vectors (k, axes) in reciprocal edges, distances (k,), and indices of corners."""
-    sizes = np.array(lattice.sizes)
-    given = lattice.path if path is None else path
-    if given is None:
-        raise ValueError(
-            f"path is None, and {lattice.text}, have no usual path; give the corners (h, k, l) of one in reciprocal "
-            "lattice units, such as [(0, 0, 0), (1, 0, 0)]"
-        )
-    corners = read_finite(given, "path")
-    if len(sizes) == 1 and corners.ndim == 1:
-        corners = corners[:, None]
-    if corners.ndim != 2 or corners.shape[1] != len(sizes) or not len(corners):
-        raise ValueError(
-            f"path has shape {corners.shape}; give corners (corners, {len(sizes)}) in units of the reciprocal edges"
-        )
-    with np.errstate(over="ignore", invalid="ignore"):
-        waves = corners * sizes
-    whole = np.rint(waves)
-    with np.errstate(over="ignore", invalid="ignore"):
-        fits = np.abs(waves - whole) <= COMMENSURATE * np.maximum(1.0, np.abs(waves))
-    off = np.argwhere(~(fits & (np.abs(waves) < MAX_WAVES)))
-    if off.size:
-        corner = corners[off[0, 0]].tolist()
-        subject = "the usual path" if path is None else "path"
-        raise ValueError(
-            f"{subject} has the corner {short(tuple(corner))}, which does not fit {lattice.text}: q times the cells of "
-            "an axis must be a whole number; give path=, or take other numbers of cells"
-        )
-    points = [whole[:1].astype(np.int64)]
-    for start, end in zip(whole[:-1].astype(np.int64), whole[1:].astype(np.int64), strict=True):
-        count = math.gcd(*(end - start).tolist())
-        points.append(start + np.arange(1, count + 1)[:, None] * ((end - start) // max(count, 1)))
-    q = np.concatenate(points) / sizes
-    steps = np.linalg.norm(np.diff(q, axis=0) @ lattice.reciprocal, axis=1)
-    ends = np.cumsum([len(part) for part in points]) - 1
-    return q, np.concatenate([[0.0], np.cumsum(steps)]), np.unique(ends)

@@ -41,6 +41,7 @@ LARGEST_DENOMINATOR = 64  # of wave vectors written as fractions
 CHARACTERS_ACROSS = 85  # of labels side by side below a path
 
 
+LARGEST_DOT = 60.0  # area of the brightest mode, in square points
 MAX_LARGE_DOTS = 2000
 """Largest number of crossings drawn with dots of full size."""
 PASS_COLOUR, FAIL_COLOUR, UNDECIDED_COLOUR = "#009E73", "#D55E00", "#7F7F7F"
@@ -85,43 +86,105 @@ def with_error(value: float, error: float) -> str:
 
 
 @with_figure_settings
-def draw_structure_factor(spectrum: Any) -> Figure:
-    """Return a figure of a `StructureFactor`: intensity on a logarithmic scale, corners of the path as ticks."""
+def draw_structure_factor(spectrum: Any, energies: Any = None, modes: Any = None) -> Figure:
+    """Return a figure of a `StructureFactor`: intensity over a path or shells, with modes, or over a plane."""
     figure = new_figure("drawing a structure factor", 7.2, 4.2)
-    from matplotlib.colors import LogNorm
-
     axes = figure.add_subplot()
+    if len(spectrum.shape) > 1:
+        _draw_plane(axes, spectrum, energies, modes)
+        return figure
+    if modes is not None and not (
+        modes.q.shape[1] == spectrum.q.shape[1] > 1
+        and np.array_equal(modes.corners.shape, spectrum.corners.shape)
+        and np.allclose(modes.q[modes.corners], spectrum.q[spectrum.corners], atol=1e-9)
+    ):
+        raise ValueError(f"modes are {modes!r}, of another path; compute them along that of {spectrum!r}")
     shown = spectrum.omega >= 0.0
-    intensity = spectrum.intensity[:, shown].T
+    if energies is not None:
+        shown = (spectrum.energy >= energies[0]) & (spectrum.energy <= energies[1])
+    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energy[shown]
+    if not len(heights):
+        raise ValueError(f"energies is {energies}, between two of {spectrum!r}; give a wider range")
     # Elastic lines may be stronger by orders of magnitude than all others.
     top = BRIGHTEST * float(np.median(intensity.max(axis=0))) or 1.0
-    lowest, omega = top * 10.0**-DECADES, spectrum.omega[shown]
-    mesh = axes.pcolormesh(
-        _edges(spectrum.distance),
-        _edges(omega),
-        np.clip(intensity, lowest, top),
-        norm=LogNorm(lowest, top),
-        cmap="viridis",
-        rasterized=True,
-    )
+    lowest = top * 10.0**-DECADES
+    _draw_colours(axes, _edges(spectrum.distance), _edges(heights), intensity, lowest, top)
+    if energies is None:
+        visible = heights[np.any(intensity > lowest, axis=1)]
+        axes.set_ylim(0.0, min(heights[-1], MARGIN * visible.max(initial=heights[1])))
+    if modes is not None:
+        axes.plot(modes.distance, modes.energies, color="white", linewidth=0.8, linestyle=(0, (4, 3)))
+    _name_corners(axes, spectrum, "white")
+    axes.set(ylabel=_energy_label(spectrum), title="dynamic structure factor")
+    plain_axes(axes)
+    axes.grid(False)
+    return figure
+
+
+@with_figure_settings
+def draw_linear_modes(modes: Any) -> Figure:
+    """Return a figure of `LinearModes`: frequencies over the path, dots whose area is the intensity, and growth."""
+    if len(modes.shape) > 1:
+        raise ValueError(f"modes are {modes!r}, of a plane; give a path, or draw modes.spectrum(...)")
+    figure = new_figure("drawing linear modes", 7.2, 4.2)
+    axes = figure.add_subplot()
+    axes.plot(modes.distance, modes.energies, color=ink(), linewidth=0.6)
+    finite = np.where(np.isfinite(modes.intensity), modes.intensity, 0.0)
+    area = LARGEST_DOT * np.minimum(1.0, finite / (BRIGHTEST * float(np.median(finite.max(axis=1))) or 1.0))
+    distance = np.broadcast_to(modes.distance[:, None], finite.shape)
+    axes.scatter(distance, modes.energies, s=area, color=colour(0), alpha=0.6, linewidths=0, label="intensity")
+    if not modes.stable:
+        growth = modes.hbar * np.where(modes.growth > 0.0, modes.growth, np.nan)
+        axes.plot(modes.distance, growth, color=FAIL_COLOUR, linewidth=1.2, linestyle="--")
+        axes.plot([], [], color=FAIL_COLOUR, linewidth=1.2, linestyle="--", label="growth")
+        legend(axes)
+    _name_corners(axes, modes, ink())
+    axes.set_ylim(bottom=min(0.0, float(axes.get_ylim()[0])) if modes.frequencies.min() < 0.0 else 0.0)
+    axes.set(ylabel=_energy_label(modes), title="linear modes")
+    plain_axes(axes)
+    return figure
+
+
+def _energy_label(result: Any) -> str:
+    return r"frequency $\omega$" if result.hbar == 1.0 else r"energy $\hbar\omega$ [meV]"
+
+
+def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
+    if modes is not None:
+        raise ValueError(f"modes are given for {spectrum!r}, of a plane; they are drawn on paths")
+    low, high = (0.0, float(spectrum.energy[-1])) if energies is None else energies
+    grid = spectrum.integrated(low, high).reshape(spectrum.shape).T
+    first, second = (spectrum.q[spectrum.corners[corner]] - spectrum.q[0] for corner in (2, 1))
+    top = float(grid.max()) or 1.0
+    x, y = (_edges(np.linspace(0.0, 1.0, count)) for count in spectrum.shape)
+    _draw_colours(axes, x, y, grid, top * 10.0**-DECADES, top)
+    origin = corner_name(spectrum.q[0])
+    axes.set(xlabel=f"{origin} + x {corner_name(first)}", ylabel=f"{origin} + y {corner_name(second)}")
+    axes.set_title(f"structure factor, energies from {low:.4g} to {high:.4g}")
+    axes.grid(False)
+
+
+def _draw_colours(axes: Any, x: Any, y: Any, values: Any, lowest: float, top: float) -> None:
+    from matplotlib.colors import LogNorm
+
+    shown = np.clip(values, lowest, top)
+    mesh = axes.pcolormesh(x, y, shown, norm=LogNorm(lowest, top), cmap="viridis", rasterized=True)
     colour_bar(axes, mesh, r"$S(q, \omega)$", extend="both")
-    visible = omega[np.any(intensity > lowest, axis=1)]
-    axes.set_ylim(0.0, min(omega[-1], MARGIN * visible.max(initial=omega[1])))
+
+
+def _name_corners(axes: Any, spectrum: Any, line: str) -> None:
+    """Write the corners of a path below it, or the lengths of shells."""
+    if spectrum.q.shape[1] == 1 and np.array_equal(spectrum.q[:, 0], spectrum.distance):
+        axes.set_xlabel(r"$\vert q \vert$")
+        return
     names = [corner_name(spectrum.q[corner]) for corner in spectrum.corners]
     corners, widths = spectrum.distance[spectrum.corners], np.array([len(name) + 2 for name in names])
     crowded = 0.5 * (widths[1:] + widths[:-1]) * corners[-1] > CHARACTERS_ACROSS * np.diff(corners)
     slanted: dict[str, Any] = {"rotation": 30.0, "ha": "right", "rotation_mode": "anchor"} if np.any(crowded) else {}
     axes.set_xticks(corners, names, **slanted)
-    for corner in spectrum.corners[1:-1]:
-        axes.axvline(spectrum.distance[corner], color="white", linewidth=0.6)
-    axes.set(
-        xlabel="wave vector $q$ [reciprocal lattice units]",
-        ylabel=r"frequency $\omega$",
-        title="dynamic structure factor",
-    )
-    plain_axes(axes)
-    axes.grid(False)
-    return figure
+    for corner in corners[1:-1]:
+        axes.axvline(corner, color=line, linewidth=0.6)
+    axes.set_xlabel("wave vector $q$ [reciprocal lattice units]")
 
 
 def corner_name(q: Any) -> str:
@@ -289,6 +352,7 @@ FIGURES: Mapping[str, Callable[..., Figure]] = {
     "bonds": draw_bonds,
     "certificate": draw_certificate,
     "crossings": draw_crossings,
+    "linear modes": draw_linear_modes,
     "phase drift": draw_phase_drift,
     "structure factor": draw_structure_factor,
 }

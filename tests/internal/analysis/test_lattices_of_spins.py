@@ -4,19 +4,21 @@ import numpy as np
 import pytest
 
 from coadjoint.analysis import thermal_states
-from coadjoint.analysis.structure_factor import lattice_by_name, reciprocal_path
+from coadjoint.analysis.wave_vectors import commensurate_waves, lattice_by_name
 from coadjoint.systems.forces.base import random_words
 from coadjoint.systems.lattices import geometry
 
 
 def test_paths_take_every_wave_vector_on_their_lines():
-    q, distance, corners = reciprocal_path(lattice_by_name("square", (12, 6)), [(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)])
+    q, distance, corners = commensurate_waves(
+        lattice_by_name("square", (12, 6)), [(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)]
+    )[:3]
     assert (q * (12, 6)).round(12).tolist()[:8] == [[k, 0] for k in range(7)] + [[6, 1]]
     assert corners.tolist() == [0, 6, 9, 12] and np.allclose(np.diff(distance)[:6], np.pi / 6)
-    assert len(reciprocal_path(lattice_by_name("chain", 9), None)[0]) == 10 and reciprocal_path(
+    assert len(commensurate_waves(lattice_by_name("chain", 9), None)[0]) == 10 and commensurate_waves(
         lattice_by_name("ring", 6), [0.5]
     )[0].tolist() == [[0.5]]
-    assert reciprocal_path(lattice_by_name("triangular", (6, 6)), None)[0].shape == (7, 2)
+    assert commensurate_waves(lattice_by_name("triangular", (6, 6)), None)[0].shape == (7, 2)
     K = (2 / 3, 1 / 3) @ geometry.reciprocal_edges("triangular")
     assert np.allclose(np.linalg.norm(K), 4 * np.pi / 3)
     for shape, path, words in (
@@ -26,14 +28,14 @@ def test_paths_take_every_wave_vector_on_their_lines():
         ((4, 4), np.zeros((0, 2)), "path has shape"),
     ):
         with pytest.raises(ValueError, match=words):
-            reciprocal_path(lattice_by_name("square", shape), path)
+            commensurate_waves(lattice_by_name("square", shape), path)
 
 
 @pytest.mark.parametrize(("lattice", "edge"), [("triangular", 1.0), ("honeycomb", np.sqrt(3.0)), ("kagome", 2.0)])
 def test_distances_along_a_path_are_those_in_space(lattice, edge):
     """Gamma, M, K, Gamma: the reciprocal edges are oblique, and sqrt(3) times as long as the sides of the zone."""
     (_, distance, corners), reciprocal = (
-        reciprocal_path(lattice_by_name(lattice, (6, 6)), None),
+        commensurate_waves(lattice_by_name(lattice, (6, 6)), None)[:3],
         4.0 * np.pi / np.sqrt(3.0) / edge,
     )
     lengths = reciprocal * np.array([1.0 / 2.0, 1.0 / np.sqrt(12.0), 1.0 / np.sqrt(3.0)])
