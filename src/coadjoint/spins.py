@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from coadjoint.analysis.skyrmion_number import skyrmion_number
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
 from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.ovf import read_ovf, write_ovf
+from coadjoint.systems.lattices.micromagnetic import micromagnetic
 
-__all__ = ["crystal", "read_exchange", "read_ovf", "structure", "write_ovf"]
+__all__ = ["crystal", "micromagnetic", "read_exchange", "read_ovf", "skyrmion_number", "structure", "write_ovf"]
 
 TYPE_CHECKING = False
 
