@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from coadjoint.analysis.energy_paths import minimum_energy_path
+from coadjoint.analysis.hysteresis import hysteresis
 from coadjoint.analysis.skyrmion_number import skyrmion_number
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
@@ -9,7 +11,17 @@ from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.ovf import read_ovf, write_ovf
 from coadjoint.systems.lattices.micromagnetic import micromagnetic
 
-__all__ = ["crystal", "micromagnetic", "read_exchange", "read_ovf", "skyrmion_number", "structure", "write_ovf"]
+__all__ = [
+    "crystal",
+    "hysteresis",
+    "micromagnetic",
+    "minimum_energy_path",
+    "read_exchange",
+    "read_ovf",
+    "skyrmion_number",
+    "structure",
+    "write_ovf",
+]
 
 TYPE_CHECKING = False
 

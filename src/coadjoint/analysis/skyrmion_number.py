@@ -40,8 +40,8 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
 
     Choose it to count skyrmions, merons and vortices, of any lattice. The lattice is triangulated, and the solid angles
     of the three spins of each triangle are summed (Berg and Luescher). On a periodic lattice the sum is an integer,
-    which changes when a skyrmion collapses; with open edges it is a real number, and a skyrmion far from the edge counts
-    as one.
+    which changes when a skyrmion collapses; with open edges it is a real number, and a skyrmion far from the edge
+    counts as one.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
     -------
     float or ndarray
         The number of each state, (...); of a model of several cells along the third lattice vector that of each layer,
-        (..., layers). It is that of the spins; moments m = -S have the opposite one. A skyrmion whose spin points up far
-        away and down in the middle has -1, an antiskyrmion +1.
+        (..., layers). It is that of the spins; moments m = -S have the opposite one. A skyrmion whose spins point up
+        far away and down in the middle has -1, an antiskyrmion +1.
 
     Raises
     ------
@@ -67,8 +67,8 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
     -----
     ``Q = (1/4 pi) sum(Omega)``, with ``tan(Omega/2) = S1 . (S2 x S3) / (1 + S1 . S2 + S2 . S3 + S3 . S1)``, over the
     triangles 123 counterclockwise about the normal a x b. The triangulation is Delaunay's of a slightly strained
-    lattice, the same for each cell. Triangles with a vacancy, or with a spin of length zero, are left out, as at an open
-    edge.
+    lattice, the same for each cell. Triangles with a vacancy, or with a spin of length zero, are left out, as at an
+    open edge.
 
     References
     ----------
@@ -133,8 +133,8 @@ def _plane(model: Any) -> Plane:
     if not has_cell(name) or len(CELLS[name].edges) != 2 or "periodic" not in parameters:
         raise TypeError(
             f"{getattr(model, 'name', model)!r} is no lattice in the plane; skyrmion_number takes models of "
-            "co.systems.spins, and spin_lattice with a square, triangular, honeycomb or kagome lattice and a field that "
-            "is not a function"
+            "co.systems.spins, and spin_lattice with a square, triangular, honeycomb or kagome lattice and a field "
+            "that is no function"
         )
     sizes, vectors = sizes_of(layout["shape"]), np.array(CELLS[name].edges)
     sites = np.array(CELLS[name].sites) @ np.linalg.inv(vectors)

@@ -82,8 +82,8 @@ def micromagnetic(
     Notes
     -----
     Neighbours at the distance d along an axis are coupled by ``-2 Aex V/d^2 m_i . m_j``, ``Dind V/d (z x r) . (m_i x
-    m_j)`` and ``-Dbulk V/d r . (m_i x m_j)``, r the direction of the bond. At open edges neighbours are missing, as with
-    ``OpenBC = true`` of mumax3; its other boundaries extrapolate the magnetization where there is a
+    m_j)`` and ``-Dbulk V/d r . (m_i x m_j)``, r the direction of the bond. At open edges neighbours are missing, as
+    with ``OpenBC = true`` of mumax3; its other boundaries extrapolate the magnetization where there is a
     Dzyaloshinskii-Moriya coupling. Cells must be smaller than the exchange length sqrt(2 Aex/(mu0 Msat^2)).
 
     References
