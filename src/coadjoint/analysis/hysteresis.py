@@ -12,6 +12,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import read_seed
+from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite, read_positive
 
@@ -130,32 +131,36 @@ def hysteresis(
     largest = float(np.linalg.norm(targets, axis=1).max())
     resolution = 1e-3 * largest if tolerance is None else read_positive(tolerance, "tolerance")
     key = read_seed(seed, "seed")
-    surface = SpinSurface(model, start)
-    s = descend(_in_field(surface, model, targets[0]), tilted(surface.directions(start), TILT, key), BALANCE)
-    reached, states, jumps = [targets[0]], [s], list[int]()
+    moments, surface = model.moments, SpinSurface(model.field((0.0, 0.0, 0.0)), start)
+
+    def relaxed(s: Floats, B: Floats) -> Floats:
+        surface.linear = -UNITS[model.units].mu_B * moments[:, None] * surface.lengths * B
+        return descend(surface, tilted(s, TILT, key + len(states)), BALANCE)
+
+    states, reached, jumps = list[Floats](), [targets[0]], list[int]()
+    states.append(relaxed(surface.directions(start), targets[0]))
+    energies = [surface.energy(states[0])]
     for number, target in enumerate(targets[1:], 1):
         pending = [target]
         while pending:
-            found = descend(_in_field(surface, model, pending[-1]), tilted(s, TILT, key + len(states)), BALANCE)
-            jumped = bool(angles(s, found).max(initial=0.0) > JUMP)
+            found = relaxed(states[-1], pending[-1])
+            jumped = bool(angles(states[-1], found).max(initial=0.0) > JUMP)
             if jumped and np.linalg.norm(pending[-1] - reached[-1]) > resolution:
                 pending.append(0.5 * (pending[-1] + reached[-1]))
                 continue
             if jumped:
                 jumps.append(len(states))
-            s = found
             reached.append(pending.pop())
-            states.append(s)
+            states.append(found)
+            energies.append(surface.energy(found))
             if len(states) > MAX_FIELDS:
                 raise ValueError(f"the loop has more than {MAX_FIELDS} states; give a larger tolerance")
         note_progress("equilibria in fields", number / len(targets))
-    moments = model.moments
-    magnetization = np.array([moments @ s for s in states]) / np.abs(moments).sum()
-    x = np.array([surface.state(s) for s in states])
-    energy = np.array([model.field(B).energy(row) for B, row in zip(reached, x, strict=True)])
-    return Hysteresis(np.array(reached), x, magnetization, energy, np.array(jumps, dtype=np.int64))
-
-
-def _in_field(surface: SpinSurface, model: SpinModel, B: Floats) -> SpinSurface:
-    """Return the surface of the energy in a field, of the same lengths."""
-    return SpinSurface(model.field(B), surface.state(np.tile((1.0, 0.0, 0.0), (len(surface.lengths), 1))))
+    magnetization = np.array([(moments[:, None] * surface.lengths * s).sum(axis=0) for s in states])
+    return Hysteresis(
+        np.array(reached),
+        np.array([surface.state(s) for s in states]),
+        magnetization / np.abs(moments[:, None] * surface.lengths).sum(),
+        np.array(energies),
+        np.array(jumps, dtype=np.int64),
+    )

@@ -17,10 +17,10 @@ MAX_STEPS = 50_000
 
 
 class SpinSurface:
-    """The energy of directions of spins (sites, 3) of constant lengths, and its torques."""
+    """The energy of directions of spins (sites, 3) of constant lengths, plus a linear one, and its derivatives."""
 
-    def __init__(self, system: Any, x: Floats) -> None:
-        self.system = system
+    def __init__(self, system: Any, x: Floats, linear: Any = 0.0) -> None:
+        self.system, self.linear = system, linear
         self.lengths = np.linalg.norm(x.reshape(-1, 3), axis=1, keepdims=True)
 
     def directions(self, x: Floats) -> Floats:
@@ -31,11 +31,11 @@ class SpinSurface:
         return (self.lengths * s).ravel()
 
     def energy(self, s: Floats) -> float:
-        return float(self.system.energy(self.state(s)))
+        return float(self.system.energy(self.state(s)) + (self.linear * s).sum())
 
     def gradient(self, s: Floats) -> Floats:
         """Return the derivatives of the energy by directions, also along them."""
-        return self.lengths * np.asarray(self.system.hamiltonian.gradient(self.state(s))).reshape(-1, 3)
+        return self.lengths * np.asarray(self.system.hamiltonian.gradient(self.state(s))).reshape(-1, 3) + self.linear
 
 
 def tangential(s: Floats, v: Floats) -> Floats:

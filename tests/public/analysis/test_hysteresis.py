@@ -69,6 +69,8 @@ def test_dipoles_and_repetition():
     fields = np.array([1.0, -0.9, -1.1])[:, None] * [1, 0, 0]
     loops = [co.spins.hysteresis(model, fields, (1.0, 0, 0) * 2, seed=5, tolerance=0.01) for _ in range(2)]
     assert np.array_equal(loops[0].x, loops[1].x) and np.array_equal(loops[0].fields, loops[1].fields)
+    last = model.field(loops[0].fields[-1])
+    assert abs(loops[0].energy[-1] - last.energy(loops[0].x[-1])) < 1e-12
     # Opposite rotation needs no field energy: the mode with both spins turned in opposite senses softens at B = 1.
     assert np.abs(loops[0].switching_fields[0, 0] + 1.0) < 5e-3
 
