@@ -9,6 +9,7 @@ from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
 from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.ovf import read_ovf, write_ovf
+from coadjoint.files.vtk import read_vtk, write_vtk
 from coadjoint.systems.lattices.micromagnetic import micromagnetic
 
 __all__ = [
@@ -18,9 +19,11 @@ __all__ = [
     "minimum_energy_path",
     "read_exchange",
     "read_ovf",
+    "read_vtk",
     "skyrmion_number",
     "structure",
     "write_ovf",
+    "write_vtk",
 ]
 
 TYPE_CHECKING = False
