@@ -8,6 +8,7 @@ from coadjoint.analysis.skyrmion_number import skyrmion_number
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
 from coadjoint.files.crystals.read import crystal, structure
+from coadjoint.files.crystals.simulators import to_sunny, to_vampire
 from coadjoint.files.ovf import read_ovf, write_ovf
 from coadjoint.files.vtk import read_vtk, write_vtk
 from coadjoint.systems.lattices.micromagnetic import micromagnetic
@@ -22,6 +23,8 @@ __all__ = [
     "read_vtk",
     "skyrmion_number",
     "structure",
+    "to_sunny",
+    "to_vampire",
     "write_ovf",
     "write_vtk",
 ]
