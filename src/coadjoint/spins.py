@@ -7,6 +7,7 @@ from coadjoint.analysis.hysteresis import hysteresis
 from coadjoint.analysis.skyrmion_number import skyrmion_number
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
+from coadjoint.files.crystals.magnetic_structure import magnetic_structure
 from coadjoint.files.crystals.read import crystal, structure
 from coadjoint.files.crystals.simulators import to_sunny, to_vampire
 from coadjoint.files.ovf import read_ovf, write_ovf
@@ -16,6 +17,7 @@ from coadjoint.systems.lattices.micromagnetic import micromagnetic
 __all__ = [
     "crystal",
     "hysteresis",
+    "magnetic_structure",
     "micromagnetic",
     "minimum_energy_path",
     "read_exchange",

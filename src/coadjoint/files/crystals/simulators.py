@@ -35,6 +35,7 @@ FIELDS = (
     "dipolar",
 )
 """What a declaration may have; of anything else a simulator would not know."""
+PARTS = ("what", "bond", "bonds", "sites", "matrices", "text")  # of a coupling or an anisotropy
 ROUNDING = 1e-12  # of matrices, relative to their largest entry
 
 
@@ -46,6 +47,8 @@ def _declared(model: Any, simulator: str) -> Any:
     if model.forces:
         raise ValueError(f"the model has forces, which {simulator} takes elsewhere; give model.unforced")
     others = [one.what for one in declared.couplings if one.what not in TERMS]
+    for one in (*declared.couplings, *declared.anisotropies):
+        others += [name for name in one._fields if name not in PARTS and len(getattr(one, name))]
     for known in dataclasses.fields(declared):
         if known.name not in FIELDS and getattr(declared, known.name) != known.default:
             others.append(known.name)
