@@ -5,6 +5,7 @@ from __future__ import annotations
 from coadjoint.analysis.energy_paths import minimum_energy_path
 from coadjoint.analysis.hysteresis import hysteresis
 from coadjoint.analysis.skyrmion_number import skyrmion_number
+from coadjoint.analysis.thermal_averages import thermal_averages
 from coadjoint.errors import refuse_others
 from coadjoint.files.crystals.exchange import read_exchange
 from coadjoint.files.crystals.magnetic_structure import magnetic_structure
@@ -25,6 +26,7 @@ __all__ = [
     "read_vtk",
     "skyrmion_number",
     "structure",
+    "thermal_averages",
     "to_sunny",
     "to_vampire",
     "write_ovf",
