@@ -386,7 +386,8 @@ def moments_on_mesh(
 def read_mesh(shape: npt.ArrayLike) -> tuple[int, int, int]:
     """Return the numbers of cells along x, y, z."""
     reject_lost_labels(shape, "shape")
-    given = np.atleast_1d(np.asarray(shape)).tolist()
+    given = shape.tolist() if isinstance(shape, np.ndarray) else shape
+    given = given if isinstance(given, tuple | list) else (given,)
     if not 1 <= len(given) <= 3:
         raise ValueError(f"shape is {short(shape)}; it must be one to three numbers of cells, along x, y, z")
     nx, ny, nz = (*(read_integer(one, "shape", 1) for one in given), 1, 1)[:3]
