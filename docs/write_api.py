@@ -17,8 +17,12 @@ from typing import Any
 import coadjoint as co
 from coadjoint import commands
 from coadjoint.analysis.certificates.certificate import Row
+from coadjoint.analysis.energy_paths import EnergyPath
+from coadjoint.analysis.hysteresis import Hysteresis
+from coadjoint.analysis.thermal_averages import Estimate, ThermalAverages
 from coadjoint.files import ovf
 from coadjoint.files.configuration.schema import schema
+from coadjoint.files.crystals.magnetic_structure import MagneticStructure
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.lattices.bonds import Bond, Site
@@ -61,6 +65,7 @@ MEMBERS_OF = (
     ("A crystal", Crystal, "bonds site subcrystal"),
     ("A bond of a crystal", Bond, "exchange"),
     ("A field of vectors in a file", ovf.OvfField, "spins"),
+    ("A magnetic structure", MagneticStructure, "state"),
     ("A site of a crystal", Site, "single_ion"),
     ("A table of exchange", ExchangeTable, ""),
     (
@@ -73,8 +78,8 @@ MEMBERS_OF = (
     (
         "A solution",
         co.Solution,
-        "at balance change drift error_estimate modified_energy movie plot rotation spectrum step_error to_pandas "
-        "to_xarray",
+        "at balance change drift error_estimate modified_energy movie plot rotation spectrum step_error to_ovf "
+        "to_pandas to_xarray",
     ),
     ("A drift", Drift, "growth"),
     ("A prepared run", co.PreparedRun, "end jvp parameters run vjp"),
@@ -82,6 +87,10 @@ MEMBERS_OF = (
     ("A choice", co.Choice, ""),
     ("Frequencies", co.Frequencies, "combinations"),
     ("Thermal states", co.ThermalStates, ""),
+    ("Thermal averages", ThermalAverages, ""),
+    ("An average with its error", Estimate, ""),
+    ("A hysteresis loop", Hysteresis, "coercive_fields switching_fields"),
+    ("A path of minimum energy", EnergyPath, ""),
     ("A structure factor", co.spectra.StructureFactor, "broadened energy integrated plot"),
     ("Linear modes", co.spectra.LinearModes, "energies plot spectrum stable"),
     ("What neutrons measure", co.spectra.Neutrons, "form_factor"),

@@ -23,6 +23,7 @@ SHORTCUTS = {
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
     "frames_of": "coadjoint.pictures.solution:frames_of",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
+    "ovf_of_run": "coadjoint.files.ovf:ovf_of_run",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
     "save_movie": "coadjoint.files.output.output_files:save_movie",
 }

@@ -53,6 +53,18 @@ co.attitudes.write(LOGGED, LOG)
 OVF = LOGGED.with_name("field.ovf")
 SPINS = {"spins": np.tile((0.6, 0.0, 0.8), 4), "shape": (2, 2), "cell": (1e-9, 1e-9, 1e-9)}
 co.spins.write_ovf(OVF, **SPINS)
+VTI, MCIF = OVF.with_suffix(".vti"), OVF.with_suffix(".mcif")
+co.spins.write_vtk(VTI, **SPINS)
+MCIF.write_text(
+    "data_a\n_cell_length_a 1\n_cell_length_b 1\n_cell_length_c 1\n_cell_angle_alpha 90\n_cell_angle_beta 90\n"
+    "_cell_angle_gamma 90\nloop_\n_space_group_symop_magn_operation.xyz\nx,y,z,+1\nloop_\n_atom_site_label\n"
+    "_atom_site_fract_x\n_atom_site_fract_y\n_atom_site_fract_z\nFe 0 0 0\nloop_\n_atom_site_moment.label\n"
+    "_atom_site_moment.crystalaxis_x\n_atom_site_moment.crystalaxis_y\n_atom_site_moment.crystalaxis_z\nFe 0 0 1\n",
+    encoding="utf-8",
+)
+MESH = {"size": (1, 1, 1), "cell": (1e-9, 1e-9, 1e-9), "Msat": 8e5, "Aex": 1e-11, "Ku1": 1e5}
+PARTICLE = co.spins.micromagnetic(**MESH)
+FLIP = co.systems.spin_lattice([], 1, on_site=(0.0, -1.0, 1.0))
 EPHEMERIS.write_text(
     "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2024-01-01T00:00:00\nORIGINATOR = ME\nMETA_START\nOBJECT_NAME = A\n"
     "OBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = EME2000\nTIME_SYSTEM = UTC\nSTART_TIME = 2024-01-01T00:00:00\n"
@@ -80,6 +92,8 @@ OBJECTS = {
     "Bond": CUBE.bonds(1.0)[0],
     "Crystal": CUBE,
     "Site": CUBE.site(0),
+    "MagneticStructure": co.spins.magnetic_structure(MCIF),
+    "OvfField": co.spins.read_ovf(OVF),
     "SpinModel": MODEL,
     "Orbit": ORBIT,
     "CheckCase": ROD,
@@ -215,6 +229,19 @@ OWN = {
     "co.attitudes.read": {"path": LOGGED},
     "co.spins.read_ovf": {"path": OVF},
     "co.spins.write_ovf": {"path": OVF, **SPINS},
+    "co.spins.read_vtk": {"path": VTI},
+    "co.spins.write_vtk": {"path": VTI, **SPINS},
+    "OvfField.spins": {"shape": (2, 2)},
+    "co.spins.magnetic_structure": {"path": MCIF},
+    "MagneticStructure.state": {"model": co.systems.spins(CUBE, (1, 1, 1))},
+    "co.spins.micromagnetic": MESH,
+    "co.spins.hysteresis": {"model": PARTICLE, "fields": [X, X], "x0": X},
+    "co.spins.minimum_energy_path": {"system": FLIP, "start": (0.0, 0.0, 1.0), "end": (0.0, 0.0, -1.0), "images": 5},
+    "co.spins.skyrmion_number": {"model": co.systems.spins(CUBE, (1, 1, 1)), "x": X},
+    "co.spins.thermal_averages": {"system": FLIP, "temperature": 1.0, "sweeps": 16, "every": 1, "members": 1},
+    "co.spins.to_sunny": {"model": MODEL},
+    "co.spins.to_vampire": {"model": co.systems.spins(DIMERS, (3, 3, 3), units="meV"), "folder": VTI.with_name("run")},
+    "Solution.to_ovf": {"path": OVF, "cell": (1e-9, 1e-9, 1e-9)},
     "co.attitudes.write": {"path": LOGGED.with_name("other.tum"), "log": LOG},
     "co.orbits.Orbit": {"position": ORBIT.position, "velocity": ORBIT.velocity},
     "co.orbits.Planet": {"mu": 1.0},

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.files.output.output_files import OVFS, check_target, pending
+from coadjoint.files.output.output_files import OVFS, OutputError, check_target, pending
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
+from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import (
     read_choice,
     read_finite,
@@ -28,6 +31,9 @@ Floats = npt.NDArray[np.float64]
 
 FIRST_LINE = "oommf ovf 2.0"
 AXES = ("x", "y", "z")
+MESHES = ("chain", "ring", "square", "cubic")  # lattices of `spin_lattice` with one spin in a rectangular cell
+EXTENT = 1e-3  # largest relative difference of the extents of a mesh and a model
+PICOSECOND = 1e-12
 # The first number of binary data tells the order of their bytes.
 CHECKS = {"4": ("<f4", 1234567.0), "8": ("<f8", 123456789012345.0)}
 # Blocks of data by the names of the argument.
@@ -38,16 +44,16 @@ TIME = re.compile(r"total simulation time:\s*(\S+)\s+s\b", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class OvfField:
-    """A field of three components on a rectangular mesh, as `read_ovf` returns it.
+    """A field of three components on a rectangular mesh, as `read_ovf` and `read_vtk` return it.
 
     Attributes
     ----------
     values : (nx, ny, nz, 3) ndarray
         The vectors at the centres of the cells, as in the file.
     cell : tuple of float
-        Lengths of the edges of a cell along x, y, z, in `length_unit`.
+        Lengths of the edges of a cell along x, y, z, in `length_unit`; NaN along an axis of one node without a length.
     length_unit : str
-        Unit of the mesh, such as ``"m"``.
+        Unit of the mesh, such as ``"m"``; empty in VTK, which has none.
     units : tuple of str
         Units of the three components: ``"1"`` for directions, ``"A/m"`` for a magnetization.
     title : str
@@ -68,7 +74,7 @@ class OvfField:
         return f"<{self.title or 'field'} on {nodes} cells, {' '.join(dict.fromkeys(self.units))}>"
 
     @suggest_keywords
-    def spins(self, shape: npt.ArrayLike) -> Floats:
+    def spins(self, shape: npt.ArrayLike | SpinModel) -> Floats:
         """Return the state of a lattice with one spin a cell: the directions of the spins, opposite to the moments.
 
         Spins are angular momenta, S = -m for moments m. A cell without a moment, outside of the material, keeps a spin
@@ -76,10 +82,12 @@ class OvfField:
 
         Parameters
         ----------
-        shape : int or tuple of int
+        shape : int or tuple of int, or SpinModel
             Number of cells of the lattice along x, y, z, as for `co.systems.spin_lattice`; missing axes have one cell.
             Either that of the mesh, or proportional to it: then the directions are interpolated linearly between the
-            centres of the cells, and at the edges continued.
+            centres of the cells, and at the edges continued. Or a model with a spin in each cell of a rectangular
+            mesh, such as `co.spins.micromagnetic`: it must have the extent of the file, and states of positive g are
+            along the moments.
 
         Returns
         -------
@@ -95,17 +103,35 @@ class OvfField:
         --------
         See `read_ovf`.
         """
-        wanted, nodes = _read_shape(shape), self.values.shape[:3]
+        model, nodes, sign = shape if isinstance(shape, SpinModel) else None, self.values.shape[:3], -1.0
+        if model is None:
+            wanted = read_mesh(shape)  # type: ignore[arg-type]
+        else:
+            wanted, edges, signs = mesh_of(model)
+            sign = signs[:, None]
+            self._check_extent(edges, wanted)
         if len({Fraction(new, old) for new, old in zip(wanted, nodes, strict=True) if max(new, old) > 1}) > 1:
             raise ValueError(
-                f"the file has another mesh, {_product(nodes)} cells, than the lattice, {_product(wanted)}; give a "
-                "lattice that has as many cells along each axis, or all of them in one proportion"
+                f"the file has another mesh, {product_text(nodes)} cells, than the lattice, {product_text(wanted)}; "
+                "give a lattice that has as many cells along each axis, or all of them in one proportion"
             )
         moments = self.values
         for axis, count in enumerate(wanted):
             moments = _resampled(moments, axis, count)
         lengths = np.linalg.norm(moments, axis=-1, keepdims=True)
-        return -(moments / np.where(lengths > 0.0, lengths, 1.0)).ravel()
+        state = sign * (moments / np.where(lengths > 0.0, lengths, 1.0)).reshape(-1, 3)
+        return (state if model is None else state[occupied_of(model)]).ravel()
+
+    def _check_extent(self, edges: Floats | None, wanted: tuple[int, int, int]) -> None:
+        """Raise ValueError unless the mesh of a model is as large as that of the file, where both have lengths."""
+        if edges is None or self.length_unit != "m":
+            return
+        own, other = (np.multiply(a, b) for a, b in ((self.cell, self.values.shape[:3]), (edges, wanted)))
+        if np.any(np.abs(own - other) > EXTENT * other):
+            raise ValueError(
+                f"the file has a mesh of {' x '.join(f'{one:.6g}' for one in own)} m, and the model one of "
+                f"{' x '.join(f'{one:.6g}' for one in other)} m; give a model of the same extent, or a shape"
+            )
 
 
 @suggest_keywords
@@ -180,7 +206,9 @@ def read_ovf(path: str | Path) -> OvfField:
     )
     if values is None or values.size != count:
         found = "holds what is no number" if values is None else f"has {values.size} numbers"
-        raise ValueError(f"{path}: its data {found}, and {_product(nodes)} cells need {count}; write the file again")
+        raise ValueError(
+            f"{path}: its data {found}, and {product_text(nodes)} cells need {count}; write the file again"
+        )
     field = values.reshape(*nodes[::-1], 3).transpose(2, 1, 0, 3)
     if not np.isfinite(field).all():
         cell = tuple(int(k) for k in np.argwhere(~np.isfinite(field))[0][:3])
@@ -246,17 +274,9 @@ def write_ovf(
     See `read_ovf`.
     """
     target = check_target(path, OVFS)
-    nodes, edges = _read_shape(shape), read_finite(cell, "cell")
-    if edges.shape != (3,) or not (edges > 0.0).all():
-        raise ValueError(f"cell is {short(cell)}; it must be three positive lengths in metres, along x, y, z")
-    states = read_finite(spins, "spins")
-    if states.shape != (3 * nodes[0] * nodes[1] * nodes[2],):
-        raise ValueError(
-            f"spins has the shape {states.shape}; {_product(nodes)} cells have three numbers each, in a row"
-        )
+    nodes, edges, moments = moments_on_mesh(spins, shape, cell)
     kind = read_choice(data, "data", KINDS)
     name = read_title(title, "title")
-    moments = -states.reshape(*nodes, 3).transpose(2, 1, 0, 3).reshape(-1, 3)
     lines = ["OOMMF OVF 2.0", "Segment count: 1", "Begin: Segment", "Begin: Header", f"Title: {name}"]
     lines += ["meshtype: rectangular", "meshunit: m"]
     lines += [
@@ -348,17 +368,105 @@ def _binary(path: str | Path, content: bytes, begin: int, kind: str, count: int)
     return np.frombuffer(content, form, there, begin + size)
 
 
-def _read_shape(shape: npt.ArrayLike) -> tuple[int, int, int]:
+def moments_on_mesh(
+    spins: npt.ArrayLike, shape: npt.ArrayLike, cell: npt.ArrayLike
+) -> tuple[tuple[int, int, int], Floats, Floats]:
+    """Return the nodes and edges of a mesh, and the moments of spins on it, (cells, 3) with x fastest."""
+    nodes, edges = read_mesh(shape), read_finite(cell, "cell")
+    if edges.shape != (3,) or not (edges > 0.0).all():
+        raise ValueError(f"cell is {short(cell)}; it must be three positive lengths in metres, along x, y, z")
+    states = read_finite(spins, "spins")
+    if states.shape != (3 * nodes[0] * nodes[1] * nodes[2],):
+        raise ValueError(
+            f"spins has the shape {states.shape}; {product_text(nodes)} cells have three numbers each, in a row"
+        )
+    return nodes, edges, -states.reshape(*nodes, 3).transpose(2, 1, 0, 3).reshape(-1, 3)
+
+
+def read_mesh(shape: npt.ArrayLike) -> tuple[int, int, int]:
     """Return the numbers of cells along x, y, z."""
     reject_lost_labels(shape, "shape")
-    given = np.atleast_1d(np.asarray(shape)).tolist()
+    given = shape.tolist() if isinstance(shape, np.ndarray) else shape
+    given = given if isinstance(given, tuple | list) else (given,)
     if not 1 <= len(given) <= 3:
         raise ValueError(f"shape is {short(shape)}; it must be one to three numbers of cells, along x, y, z")
     nx, ny, nz = (*(read_integer(one, "shape", 1) for one in given), 1, 1)[:3]
     return nx, ny, nz
 
 
-def _product(nodes: tuple[int, ...]) -> str:
+def mesh_of(system: Any) -> tuple[tuple[int, int, int], Floats | None, Floats]:
+    """Return the cells of a system with one spin in each, its edges in metres, and the sign of each cell's moment.
+
+    Edges are None where the system has no unit of length; moments are opposite to the spins of `spin_lattice`.
+    """
+    if isinstance(system, SpinModel):
+        lattice, count = system.crystal.lattice, len(system.crystal.labels)
+        edges = lattice.diagonal()
+        if count > 1 or np.abs(lattice - np.diag(edges)).max() > 1e-9 * np.abs(edges).max() or not (edges > 0.0).all():
+            raise ValueError(
+                f"{system!r} has no rectangular mesh with one spin in a cell; OVF needs lattice vectors along x, y, z"
+            )
+        signs = np.full(math.prod(system.size), np.sign(system.moments[0]))
+        signs[occupied_of(system)] = np.sign(system.moments)
+        return system.size, edges * 1e-10 if system.units == "meV" else None, signs
+    name, shape = (getattr(system, "layout", {}).get(key) for key in ("lattice", "shape"))
+    if name not in MESHES or shape is None:
+        raise ValueError(
+            f"{getattr(system, 'name', system)!r} has no rectangular mesh with one spin in a cell; OVF takes models "
+            f"of co.systems.spins, and spin_lattice with one of {', '.join(MESHES)}"
+        )
+    cells = read_mesh(shape)
+    return cells, None, np.full(math.prod(cells), -1.0)
+
+
+def occupied_of(model: SpinModel) -> npt.NDArray[np.int64]:
+    """Return the numbers of the cells of a model that have a spin."""
+    return np.asarray(np.ravel_multi_index(tuple(model.cells.T), model.size))
+
+
+@suggest_keywords
+def ovf_of_run(
+    solution: Any, path: str | Path, cell: npt.ArrayLike | None, member: int | None, data: str
+) -> tuple[Path, ...]:
+    """Write the states of a run; `Solution.to_ovf`."""
+    place, ensemble = read_path(path, "path"), solution.failed is not None
+    if ensemble != (member is not None):
+        raise ValueError(
+            f"the run has {len(solution.failed)} members; give the number of one as member="
+            if ensemble
+            else f"member is {short(member)}, and the run has no members; leave it out"
+        )
+    one = None if member is None else read_integer(member, "member", 0, len(solution.failed) - 1)
+    system = solution.system.of_member(one or 0).unforced
+    shape, edges, signs = mesh_of(system)
+    if (edges is None) == (cell is None):
+        raise ValueError(
+            f"{system.name} has no unit of length; give the edges of a cell in metres as cell="
+            if cell is None
+            else f"cell is {short(cell)}, and the cells of {system.name} have the edges {edges} m; leave it out"
+        )
+    occupied = occupied_of(system) if isinstance(system, SpinModel) else np.arange(len(signs))
+    second = PICOSECOND if edges is not None else None
+    lone = place.suffix in OVFS
+    if not lone:
+        try:
+            place.mkdir(exist_ok=True)
+        except OSError as reason:
+            raise OutputError(f"{path}: no folder can be made ({reason.strerror}); give another one") from None
+    written = []
+    for k in [len(solution.t) - 1] if lone else range(len(solution.t)):
+        spins = np.zeros((len(signs), 3))
+        spins[occupied] = np.asarray(solution.x[k] if one is None else solution.x[k, one]).reshape(-1, 3)
+        target = place if lone else place / f"m{k:06d}.ovf"
+        time = None if second is None else float(solution.t[k]) * second
+        state = (-signs[:, None] * spins).ravel()
+        write_ovf(target, state, shape, cell=edges if cell is None else cell, data=data, time=time)
+        written.append(target)
+    return tuple(written)
+
+
+def product_text(nodes: tuple[int, ...]) -> str:
+    """Return numbers of cells as text."""
     return " x ".join(map(str, nodes))
 
 

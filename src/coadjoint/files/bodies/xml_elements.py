@@ -102,9 +102,9 @@ class Element:
         return values
 
 
-def elements_of(path: Path) -> Element:
+def elements_of(path: Path, what: str = "an XML file of a body", limit: int = MAX_XML_BYTES) -> Element:
     """Return the root element of a file; ValueError for a document type, or what is no XML."""
-    content = content_of(path, MAX_XML_BYTES, "an XML file of a body")
+    content = content_of(path, limit, what, factor=4)
     parser = xml.parsers.expat.ParserCreate()
     root: list[Element] = []
     count = 0

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import content_of
@@ -23,29 +24,17 @@ MAGNETIC = ("_space_group_symop_magn_operation", "_space_group_symop.magn_operat
 
 def crystal_of_cif(path: Path, space_group: Any, tolerance: float) -> Crystal:
     """Return the crystal in a CIF of one structure."""
-    require_packages(f"{path}, a CIF,", "gemmi")
+    block = structure_block(path)
     import gemmi
 
-    content = content_of(path, MAX_BYTES, "a CIF", 10)
-    try:
-        document = gemmi.cif.read_string(content.decode("utf-8", "replace"))
-    except Exception as reason:  # of the parser, with the line
-        raise ValueError(f"{path} is no CIF: {short(str(reason), 200)}") from None
-    blocks = [block for block in document if block.find_values("_atom_site_fract_x")]
-    if len(blocks) != 1:
-        found = "no block with fractional coordinates" if not blocks else f"{len(blocks)} structures"
-        raise ValueError(f"{path} has {found}; give a CIF of one structure, with _atom_site_fract_x, _y and _z")
-    block = blocks[0]
     tags = [tag for item in block for tag in _tags_of(item)]
     moment = next((tag for tag in tags if tag.startswith(MAGNETIC)), None)
     if moment is not None:
-        raise ValueError(f"{path} is a magnetic CIF ({moment}), whose moments would be lost; give a CIF without them")
-    constants = [
-        _number(block.find_value(f"_cell_{name}"), f"{path}: _cell_{name}")
-        for name in ("length_a", "length_b", "length_c", "angle_alpha", "angle_beta", "angle_gamma")
-    ]
-    lattice = lattice_of(constants, f"{path}: the cell")
-    sites = _sites(block, path)
+        raise ValueError(
+            f"{path} is a magnetic CIF ({moment}), whose moments would be lost; give it to "
+            "co.spins.magnetic_structure, or a CIF without them"
+        )
+    lattice, sites = cell_of_block(block, path), sites_of_block(block, path)
     triplets = next((list(column) for column in map(block.find_values, OPERATIONS) if column), [])
     if space_group is None and triplets:
         operations = operations_of_triplets([gemmi.cif.as_string(text) for text in triplets], str(path))
@@ -59,6 +48,32 @@ def crystal_of_cif(path: Path, space_group: Any, tolerance: float) -> Crystal:
         return expanded_crystal(lattice, sites, None if only_identity else operations, tolerance)
     except ValueError as reason:
         raise ValueError(f"{path}: {reason}") from None
+
+
+def structure_block(path: Path) -> Any:
+    """Return the block of a CIF that has fractional coordinates; ValueError unless there is one."""
+    require_packages(f"{path}, a CIF,", "gemmi")
+    import gemmi
+
+    content = content_of(path, MAX_BYTES, "a CIF", 10)
+    try:
+        document = gemmi.cif.read_string(content.decode("utf-8", "replace"))
+    except Exception as reason:  # of the parser, with the line
+        raise ValueError(f"{path} is no CIF: {short(str(reason), 200)}") from None
+    blocks = [block for block in document if block.find_values("_atom_site_fract_x")]
+    if len(blocks) != 1:
+        found = "no block with fractional coordinates" if not blocks else f"{len(blocks)} structures"
+        raise ValueError(f"{path} has {found}; give a CIF of one structure, with _atom_site_fract_x, _y and _z")
+    return blocks[0]
+
+
+def cell_of_block(block: Any, path: Path) -> npt.NDArray[np.float64]:
+    """Return the lattice vectors of a structure."""
+    constants = [
+        cif_number(block.find_value(f"_cell_{name}"), f"{path}: _cell_{name}")
+        for name in ("length_a", "length_b", "length_c", "angle_alpha", "angle_beta", "angle_gamma")
+    ]
+    return lattice_of(constants, f"{path}: the cell")
 
 
 def _tags_of(item: Any) -> list[str]:
@@ -81,7 +96,8 @@ def _named(block: Any) -> str | int | None:
     return None
 
 
-def _sites(block: Any, path: Path) -> list[tuple[str, str, Any]]:
+def sites_of_block(block: Any, path: Path) -> list[tuple[str, str, Any]]:
+    """Return label, species and fractional position of the listed sites."""
     import gemmi
 
     tags = ["label", "fract_x", "fract_y", "fract_z", "?type_symbol", "?occupancy"]
@@ -89,8 +105,8 @@ def _sites(block: Any, path: Path) -> list[tuple[str, str, Any]]:
     for row in block.find("_atom_site_", tags):
         label = gemmi.cif.as_string(row[0])
         kind = gemmi.cif.as_string(row[4]) if row.has(4) else label.rstrip("0123456789")
-        position = np.array([_number(row[k], f"{path}: _atom_site_fract of {short(label)}") for k in (1, 2, 3)])
-        if row.has(5) and row[5] not in (".", "?") and _number(row[5], f"{path}: _atom_site_occupancy") != 1.0:
+        position = np.array([cif_number(row[k], f"{path}: _atom_site_fract of {short(label)}") for k in (1, 2, 3)])
+        if row.has(5) and row[5] not in (".", "?") and cif_number(row[5], f"{path}: _atom_site_occupancy") != 1.0:
             raise ValueError(f"{path}: the occupancy of {short(label)} is {row[5]}; give a CIF of fully occupied sites")
         sites.append((label, kind, position))
     if not sites:
@@ -98,7 +114,8 @@ def _sites(block: Any, path: Path) -> list[tuple[str, str, Any]]:
     return sites
 
 
-def _number(text: str | None, what: str) -> float:
+def cif_number(text: str | None, what: str) -> float:
+    """Return a number without its uncertainty; ValueError unless it is finite."""
     import gemmi
 
     value = float("nan") if text is None else float(gemmi.cif.as_number(text))

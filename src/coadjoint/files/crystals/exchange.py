@@ -17,7 +17,7 @@ from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.bonds import antisymmetric
 from coadjoint.systems.lattices.crystals import MAX_BONDS, MAX_SITES, Crystal
-from coadjoint.systems.lattices.declared_spins import ExchangeTable
+from coadjoint.systems.lattices.declared_spins import MEV_PER_JOULE, ExchangeTable
 from coadjoint.validation import read_choice, read_path, read_positive
 
 Floats = npt.NDArray[np.float64]
@@ -26,7 +26,6 @@ Integers = npt.NDArray[np.int64]
 MAX_BYTES = 2**28
 CELL_TOLERANCE = 1e-3  # of lattice vectors and of positions, relative to the shortest lattice vector
 RECIPROCITY = 0.01  # largest difference of a matrix and the transpose of its reverse, of the largest entry of a file
-MEV_PER_JOULE = 1.0 / 1.602176634e-22
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 TB2J_BOND = re.compile(rf"\s*(\S+)\s+(\S+)\s+\(\s*(-?\d+),\s*(-?\d+),\s*(-?\d+)\)\s+({NUMBER})\s+\(")
 TB2J_TAG = re.compile(r"\s*\[\w+!\]\s*")

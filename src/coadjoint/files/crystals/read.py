@@ -165,5 +165,8 @@ def _crystal_of_file(file: Path, space_group: Any, tolerance: float) -> Crystal:
     if file.suffix.lower() in (".vasp", ".poscar") or file.name.upper().startswith(("POSCAR", "CONTCAR")):
         return crystal_of_poscar(file, space_group, tolerance)
     if file.suffix.lower() == ".mcif":
-        raise ValueError(f"{file} is a magnetic CIF, whose moments would be lost; give a CIF without them")
+        raise ValueError(
+            f"{file} is a magnetic CIF, whose moments would be lost; give it to co.spins.magnetic_structure, or a CIF "
+            "without them"
+        )
     raise ValueError(f"{file} has no name of a structure; give .cif, .vasp, .poscar, POSCAR... or CONTCAR...")

@@ -43,6 +43,7 @@ PAGES = (".html",)
 HEADERS = (".h", ".hpp")
 LOGS = (".csv", ".tum", ".aem", ".tsc")
 OVFS = (".ovf", ".omf")
+VTKS = (".vti",)
 GIF_WHITE_THRESHOLD = 248
 """In a GIF, shades from here on become white."""
 MAX_GIF_FPS = 50
@@ -57,7 +58,7 @@ REQUIRED_PACKAGES = {
     ".json": (),
     ".csv": (),
     ".html": (),
-    **dict.fromkeys((*HEADERS, *LOGS, *OVFS), ()),
+    **dict.fromkeys((*HEADERS, *LOGS, *OVFS, *VTKS), ()),
     ".bc": ("spiceypy",),
 }
 FORMAT_NAMES = {
@@ -68,7 +69,7 @@ FORMAT_NAMES = {
     ".html": "a page",
     **dict.fromkeys(HEADERS, "a header"),
     **dict.fromkeys(LOGS, "a log of attitudes"),
-    **dict.fromkeys(OVFS, "a vector field"),
+    **dict.fromkeys((*OVFS, *VTKS), "a vector field"),
     ".bc": "a C-kernel of SPICE",
     **dict.fromkeys(FIGURES, "a figure"),
     **dict.fromkeys(MOVIES, "a movie"),

@@ -247,6 +247,54 @@ class SolutionOutput(SolutionAttributes):
         return table_of(self)
 
     @suggest_keywords
+    def to_ovf(
+        self, path: str | Path, *, cell: Any = None, member: int | None = None, data: str = "binary 8"
+    ) -> tuple[Path, ...]:
+        """Write the saved states of spins on a rectangular mesh as OVF 2.0, for mumax3, OOMMF, Ubermag and viewers.
+
+        Parameters
+        ----------
+        path : str or Path
+            A folder, made if there is none, for files ``m000000.ovf``, ``m000001.ovf``, ..., one for each saved time;
+            files of these names are replaced. Or a name that ends with ``.ovf`` or ``.omf``, for the last state.
+        cell : (3,) array_like, optional
+            Lengths of the edges of a cell along x, y, z in metres. Models in units of meV have their own.
+        member : int, optional
+            The member of an ensemble, from 0.
+        data : {"binary 8", "binary 4", "text"}
+            Numbers of 8 or 4 bytes, or text.
+
+        Returns
+        -------
+        tuple of Path
+            The files. They have directions of the moments: along the states of models with positive g, and opposite to
+            other states; zero at vacancies; and the time in seconds, of models in units of meV.
+
+        Raises
+        ------
+        ValueError, TypeError
+            A system without a rectangular mesh of one spin in each cell, lengths given twice or not at all, or an
+            ensemble without `member`.
+        OutputError
+            A file cannot be written.
+
+        See Also
+        --------
+        coadjoint.spins.read_ovf : Read such a file.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> import coadjoint as co
+        >>> film = co.spins.micromagnetic((2, 2, 1), (2e-9, 2e-9, 1e-9), Msat=8e5, Aex=1e-11).field((0, 0, 1.0))
+        >>> sol = co.integrate(film, (1.0, 0, 0) * 4, (0, 1), 0.5)
+        >>> [file.name for file in sol.to_ovf(pathlib.Path(tempfile.mkdtemp(), "run"))]
+        ['m000000.ovf', 'm000001.ovf', 'm000002.ovf']
+        """
+        written: tuple[Path, ...] = shortcut("ovf_of_run")(self, path, cell, member, data)
+        return written
+
+    @suggest_keywords
     def plot(
         self,
         panels: Any = None,

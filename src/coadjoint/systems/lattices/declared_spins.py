@@ -19,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 AXES = "abc"
+MEV_PER_JOULE = 1.0 / 1.602176634e-22
 
 
 class Units(NamedTuple):
