@@ -71,8 +71,8 @@ MEMBERS_OF = (
     (
         "A spin model on a crystal",
         SpinModel,
-        "cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites size "
-        "spin substitute units vacancies",
+        "biquadratic cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites "
+        "size spin substitute twist units vacancies",
     ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (

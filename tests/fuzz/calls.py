@@ -195,6 +195,7 @@ OWN = {
     "co.spins.crystal": {"lattice": (1.0, 1.0, 1.0, 90.0, 90.0, 90.0), "sites": {"Fe": (0.0, 0.0, 0.0)}},
     "Crystal.bonds": {"max_distance": 1.0},
     "Crystal.site": {"site": "Fe"},
+    "SpinModel.biquadratic": {"bond": DIMERS.bonds(3.0)[0], "K": 0.5},
     "SpinModel.dzyaloshinskii_moriya": {"bond": DIMERS.bonds(3.0)[0], "D": X},
     "SpinModel.exchange": {"bond": DIMERS.bonds(3.0)[0], "J": EYE},
     "SpinModel.field": {"B": X},

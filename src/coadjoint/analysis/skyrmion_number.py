@@ -127,7 +127,7 @@ def _plane(model: Any) -> Plane:
             )
         vectors = np.stack([a, b]) @ frame.T
         sites = (places - places[0]) @ frame.T @ np.linalg.inv(vectors)
-        return Plane(vectors, sites, model.size[:2], model.periodic[:2], model.size[2], model._numbers)
+        return Plane(vectors, sites, model.size[:2], model.periodic[:2], model.size[2], model._declared.numbers)
     layout = getattr(model, "layout", {})
     name, parameters = layout.get("lattice"), getattr(model, "parameters", None) or {}
     if not has_cell(name) or len(CELLS[name].edges) != 2 or "periodic" not in parameters:

@@ -267,7 +267,6 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
     n = system.dim
     terms = [piece for term in system.hamiltonian.terms() for piece in by_degree(term)]
     polynomials = [one for one in terms if isinstance(one, PolynomialTerm)]
-    polynomials = [one for one in polynomials if one.polynomial.degree > 2]
     parts = [_matrix_and_linear(term, n) for term in terms if term not in polynomials]
     if any(part is None for part in parts):
         raise TypeError(

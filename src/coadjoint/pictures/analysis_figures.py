@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.pictures.crystal_figure import draw_bonds
 from coadjoint.pictures.register import coordinate_index
 from coadjoint.pictures.style import (
     COLOURS,
@@ -349,7 +348,6 @@ def _write_note(axes: Any, text: str) -> None:
 
 
 FIGURES: Mapping[str, Callable[..., Figure]] = {
-    "bonds": draw_bonds,
     "certificate": draw_certificate,
     "crossings": draw_crossings,
     "linear modes": draw_linear_modes,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.pictures.curves import view_frame
 from coadjoint.pictures.style import (
     colour,
@@ -20,7 +22,9 @@ from coadjoint.pictures.style import (
     with_figure_settings,
 )
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite
+from coadjoint.systems.lattices.bonds import Bond, Bonds
+from coadjoint.systems.lattices.crystals import Crystal, check_bond
+from coadjoint.validation import read_finite, read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,11 +38,48 @@ ON_FACE = 1e-6  # fractional distance from a face at which a site is drawn on th
 CELL_CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 
 
+@suggest_keywords
 @with_figure_settings
-def draw_bonds(bonds: Any, cell: Any, view: Any) -> Figure:
-    """Return a figure of the cell of some `Bonds`."""
-    around_above = VIEW if view is None else read_finite(view, "view")
-    if np.shape(around_above) != (2,):
+def draw_bonds(crystal: Crystal, bonds: Sequence[Bond], view: tuple[float, float] = VIEW) -> Figure:
+    """Draw the cell of a crystal with its sites, a colour for each label, and bonds, a colour for each class.
+
+    Drawn are the sites of the cell, with their images on its faces, all bonds between these, and one of each other
+    equivalent bond of a cell; it is pale, as the sites of neighbouring cells that it reaches.
+
+    Parameters
+    ----------
+    crystal : Crystal
+        The crystal.
+    bonds : Bonds or sequence of Bond
+        Some of its bonds: ``crystal.bonds(max_distance)``, or ``crystal.bonds(max_distance)[:2]``.
+    view : (float, float)
+        Direction of view in degrees: around the third Cartesian axis, and above the plane of the other two.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure, neither shown nor saved.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Something else than a crystal with bonds of its own, or a view that is not two numbers.
+    MissingPackageError
+        Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> cubic = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Fe": (0, 0, 0)})
+    >>> figure = co.plotting.draw_bonds(cubic, cubic.bonds(max_distance=1.5))
+    """
+    if not isinstance(crystal, Crystal):
+        raise TypeError(f"crystal is {short(crystal)}; give one of co.spins.crystal")
+    listed = bonds if isinstance(bonds, Bonds) else read_list(bonds, "bonds", "give crystal.bonds(max_distance)")
+    for bond in listed:
+        check_bond(crystal, bond)
+    around_above = read_finite(view, "view")
+    if around_above.shape != (2,):
         raise ValueError(
             f"view is {short(view)}; give two angles in degrees, around the third axis and above the plane"
         )
@@ -47,7 +88,7 @@ def draw_bonds(bonds: Any, cell: Any, view: Any) -> Figure:
     frame = view_frame((float(around_above[0]), float(around_above[1])))
 
     def project(points: Any) -> tuple[Floats, Floats]:
-        turned = np.asarray(points) @ cell.lattice @ frame.T
+        turned = np.asarray(points) @ crystal.lattice @ frame.T
         return turned[..., :2], turned[..., 2]
 
     depths = project(CELL_CORNERS)[1]
@@ -67,22 +108,22 @@ def draw_bonds(bonds: Any, cell: Any, view: Any) -> Figure:
         beyond = 0.07 * float(np.ptp(flat)) * along / max(float(np.hypot(*along)), 1e-300)
         axes.text(*(end + beyond), name, zorder=4.0, **text)
         axes.update_datalim([end + beyond])
-    sites = {(k, *n): True for k, n in _inside(cell.positions)}
-    for number, bond in enumerate(bonds):
+    sites = {(k, *n): True for k, n in _inside(crystal.positions)}
+    for number, bond in enumerate(listed):
         label = f"{bond.name}: {bond.kinds[0]}-{bond.kinds[1]}, {bond.distance:.4g}"
         for (i, *n), (j, *m), whole in _drawn(bond, sites):
             sites.setdefault((i, *n), False)
             sites.setdefault((j, *m), False)
-            flat, depth = project([cell.positions[i] + n, cell.positions[j] + m])
+            flat, depth = project([crystal.positions[i] + n, crystal.positions[j] + m])
             style = {"color": colour(number), "alpha": 1.0 if whole else PALE, "linewidth": thickness(1.6)}
             axes.plot(*flat.T, zorder=order(depth.mean()), label=label, **style)
             label = "_"
-    kinds, seen = list(dict.fromkeys(cell.labels)), set[str]()
+    kinds, seen = list(dict.fromkeys(crystal.labels)), set[str]()
     for (k, *n), inside in sorted(sites.items(), key=lambda entry: not entry[1]):
-        point, depth = project(cell.positions[k] + n)
-        kind = cell.labels[k]
+        point, depth = project(crystal.positions[k] + n)
+        kind = crystal.labels[k]
         # Bonds have the first colours, and sites those that follow.
-        fill = colour(len(bonds) + kinds.index(kind))
+        fill = colour(len(listed) + kinds.index(kind))
         axes.plot(
             *point[:, None],
             marker="o",
@@ -100,7 +141,8 @@ def draw_bonds(bonds: Any, cell: Any, view: Any) -> Figure:
     axes.axis("off")
     axes.margins(0.08)
     set_title(
-        axes, f"bonds of {len(cell.labels)} sites in a cell" if len(cell.labels) > 1 else "bonds of one site in a cell"
+        axes,
+        f"bonds of {len(crystal.labels)} sites in a cell" if len(crystal.labels) > 1 else "bonds of one site in a cell",
     )
     legend(axes, beside=True)
     return figure
@@ -116,7 +158,7 @@ def _inside(positions: Floats) -> list[tuple[int, tuple[int, ...]]]:
 
 
 def _drawn(bond: Any, inside: dict[tuple[int, ...], bool]) -> list[tuple[tuple[int, ...], tuple[int, ...], bool]]:
-    """Return the ends of the bonds between sites inside, and of each other bond of the class at its own cell."""
+    """Return the ends of the bonds between sites inside, and of each other bond of the class at its own crystal."""
     found = []
     for (i, j), n in zip(bond.sites.tolist(), bond.offsets.tolist(), strict=True):
         own = False

@@ -135,7 +135,7 @@ def test_bonds_of_a_crystal():
     salt = co.spins.crystal(lattice=(2, 2, 2, 90, 90, 90), sites=sites, space_group="P m -3 m")
     bonds = salt.bonds(max_distance=2.0)
     assert [bond.multiplicity for bond in bonds] == [8, 3, 3]
-    (axes,) = bonds.plot(view=(0, 0)).axes
+    (axes,) = co.plotting.draw_bonds(salt, bonds, view=(0, 0)).axes
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == ["1: Cs-Cl, 1.732", "2a: Cs-Cs, 2", "2b: Cl-Cl, 2", "Cs", "Cl"]
     lines = [line for line in axes.lines if len(line.get_xdata()) == 2]
@@ -148,8 +148,17 @@ def test_bonds_of_a_crystal():
     # From the first axis, the second points to the right and the third up.
     ends = {text.get_text(): text.get_position() for text in axes.texts}
     assert ends["b"][0] > 2 and abs(ends["b"][1]) < 1e-9 and ends["c"][1] > 2 and abs(ends["c"][0]) < 1e-9
-    (fewer,) = bonds[:1].plot().axes
+    (fewer,) = co.plotting.draw_bonds(salt, bonds[:1]).axes
     assert [text.get_text() for text in fewer.get_legend().get_texts()] == ["1: Cs-Cl, 1.732", "Cs", "Cl"]
     for view in ((1, 2, 3), "side"):
         with refused((ValueError, TypeError), "view"):
-            bonds.plot(view=view)
+            co.plotting.draw_bonds(salt, bonds, view=view)
+    other = co.spins.crystal(lattice=(2, 2, 2, 90, 90, 90), sites={"Cs": (0, 0, 0)}, space_group="P m -3 m")
+    for crystal, wrong, words in (
+        (other, bonds, ("another crystal",)),
+        (salt, [1], ("bond", "1")),
+        (salt, 2, ("bonds", "2")),
+        ("salt", bonds, ("crystal", "salt")),
+    ):
+        with refused((ValueError, TypeError), *words):
+            co.plotting.draw_bonds(crystal, wrong)

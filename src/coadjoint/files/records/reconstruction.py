@@ -16,7 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS, names_in
 from coadjoint.algebra.polynomials.formulas import add_term, parse_polynomial
 from coadjoint.algebra.polynomials.monomials import Exponents
-from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial, SparseMonomials, SparsePolynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors, parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
@@ -260,13 +260,25 @@ def _quadratic_of(record: Entry, dim: int) -> Quadratic:
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)
 
 
-def _polynomial_record_of(record: Entry, dim: int) -> Polynomial:
-    return _polynomial_of(record.reject_unknown("kind", "dim", "monomials")["monomials"], dim)
+def _sparse_polynomial_of(record: Entry, dim: int) -> SeparatePolynomial:
+    monomials: SparseMonomials = {}
+    for term in record.reject_unknown("kind", "dim", "monomials")["monomials"].entries():
+        coefficient, factors = term.entries(2)
+        key = tuple(tuple(pair.integers(max(dim - 1, MAX_DEGREE), 2)) for pair in factors.entries())
+        coordinates = [k for k, _ in key]
+        is_valid = coordinates == sorted({*coordinates}) and max(coordinates, default=0) < dim
+        if not is_valid or not all(e for _, e in key) or sum(e for _, e in key) > MAX_DEGREE or key in monomials:
+            raise factors.invalid_error(f"ascending coordinates with exponents, of a degree up to {MAX_DEGREE}, once")
+        monomials[key] = coefficient.exact()
+    with as_value_errors(record):
+        return SeparatePolynomial(SparsePolynomial(monomials, dim))
 
 
 HAMILTONIANS: Mapping[str, Callable[[Entry, int], Any]] = {
-    "polynomial": _polynomial_record_of,
-    "separate polynomial": lambda record, dim: SeparatePolynomial(_polynomial_record_of(record, dim)),
+    "polynomial": lambda record, dim: _polynomial_of(
+        record.reject_unknown("kind", "dim", "monomials")["monomials"], dim
+    ),
+    "sparse polynomial": _sparse_polynomial_of,
     "quadratic": _quadratic_of,
     "formula": _function_of,
     "split": _split_of,

@@ -187,7 +187,8 @@ def _monomials(polynomial: Polynomial) -> list[list[Any]]:
 def _hamiltonian_record(H: HamiltonianLike, missing: list[str]) -> dict[str, Any]:
     match H:
         case SeparatePolynomial():
-            return _polynomial_record(H.polynomial) | {"kind": "separate polynomial"}
+            factors = [[plain(c), [list(pair) for pair in one.items()]] for _, c, one in H.polynomial._factors]
+            return {"kind": "sparse polynomial", "dim": H.dim, "monomials": factors}
         case PolynomialHamiltonian():
             return _polynomial_record(H.polynomial)
         case Quadratic():

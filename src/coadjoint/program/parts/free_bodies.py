@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.families.matrix_bases import casimirs_fit, quadratic
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial, SparsePolynomial
 from coadjoint.program.commutation import few_parts
 from coadjoint.program.generators import NotSplittable
 from coadjoint.program.parts.casimir_shifts import quadratic_position
@@ -78,13 +78,15 @@ def by_degree(term: Term) -> Iterable[Term]:
     if not isinstance(term, PolynomialTerm) or term.piece is not None:
         yield term
         return
-    low = {e: c for e, c in term.polynomial.monomials.items() if sum(e) <= 2}
-    high = {e: c for e, c in term.polynomial.monomials.items() if sum(e) > 2}
+    polynomial = term.polynomial
+    degrees = {tuple(factors.items()): sum(factors.values()) for _, _, factors in polynomial._factors}
+    values = {tuple(factors.items()): c for _, c, factors in polynomial._factors}
+    low, high = ({key: c for key, c in values.items() if (degrees[key] > 2) is above} for above in (False, True))
     if not low or not high:
         yield term
         return
-    yield from Quadratic.from_polynomial(Polynomial(low)).terms()
-    yield replace(term, polynomial=Polynomial(high))
+    yield from Quadratic.from_polynomial(SparsePolynomial(low, polynomial.dim)).terms()
+    yield replace(term, polynomial=SparsePolynomial(high, polynomial.dim))
 
 
 def _triples_of(algebra: LieAlgebra) -> Triples:

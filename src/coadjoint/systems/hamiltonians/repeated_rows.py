@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact.numbers import quotient
 from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of, factors_of
+from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.validation import REAL_KINDS, read_finite, to_array
@@ -268,15 +268,15 @@ def polynomial_of_entries(
 def entries_of_polynomial(polynomial: Polynomial) -> tuple[Entries, Any]:
     """Return the entries of a polynomial of degree at most two, with its coefficients unchanged, and the constant."""
     n = polynomial.dim
-    exact = not all(isinstance(c, float) for c in polynomial.monomials.values())
+    exact = not all(isinstance(c, float) for _, c, _ in polynomial._factors)
     kind: Any = object if exact else np.float64
     linear = np.full(n, 0, dtype=kind)
     constant: Any = 0.0
     rows: list[int] = []
     columns: list[int] = []
     entries: list[Any] = []
-    for exponents, coefficient in polynomial.monomials.items():
-        factors = factors_of(exponents)
+    for _, coefficient, powers in polynomial._factors:
+        factors = [k for k, e in powers.items() for _ in range(e)]
         if len(factors) == 2:
             i, j = factors
             rows += [i] if i == j else [i, j]

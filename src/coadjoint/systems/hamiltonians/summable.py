@@ -149,7 +149,7 @@ class PolynomialHamiltonian(Summable):
     def times(self, factor: Coefficient) -> Self:
         return type(self)(factor * self.polynomial)
 
-    place_in_sum = 0
+    place_in_sum: int | None = 0
 
     def joined(self, other: Any) -> PolynomialHamiltonian:
         """Return the sum with a polynomial, or with a quadratic Hamiltonian."""

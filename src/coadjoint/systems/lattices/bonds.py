@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.lattices.space_groups import product
 from coadjoint.validation import read_finite
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -287,22 +283,14 @@ class Site(AllowedMatrices):
         return f"<site {self.label} {self.number}, {len(self.sites)} in a cell>"
 
 
-class Cell(NamedTuple):
-    """The cell that bonds belong to: lattice vectors, labels, and fractional positions of its sites."""
-
-    lattice: Floats
-    labels: tuple[str, ...]
-    positions: Floats
-
-
 class Bonds(Sequence[Bond]):
     """The bonds of a crystal by shell, as `Crystal.bonds` returns them; ``print`` shows a table.
 
     ``bonds["2a"]`` is a bond by its name, ``bonds[0]`` the first one, and ``bonds[:3]`` the first three.
     """
 
-    def __init__(self, bonds: Sequence[Bond], cell: Cell) -> None:
-        self._bonds, self._cell = tuple(bonds), cell
+    def __init__(self, bonds: Sequence[Bond]) -> None:
+        self._bonds = tuple(bonds)
 
     def __len__(self) -> int:
         return len(self._bonds)
@@ -317,40 +305,7 @@ class Bonds(Sequence[Bond]):
                     return bond
             names = short([bond.name for bond in self._bonds], 200)
             raise KeyError(f"there is no bond {short(key)}; the bonds are {names}")
-        return Bonds(self._bonds[key], self._cell) if isinstance(key, slice) else self._bonds[key]
-
-    def plot(self, view: tuple[float, float] | None = None) -> Figure:
-        """Draw the cell with its sites, a colour for each label, and the bonds, a colour for each class.
-
-        Drawn are the sites of the cell, with their images on its faces, all bonds between these, and one of each
-        equivalent bond of a cell; sites of neighbouring cells that such a bond reaches are pale.
-
-        Parameters
-        ----------
-        view : (float, float), optional
-            Direction of view in degrees, as of pictures in space: around the third Cartesian axis, and above the plane
-            of the other two.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure, neither shown nor saved.
-
-        Raises
-        ------
-        MissingPackageError
-            Matplotlib is not installed.
-        ValueError, TypeError
-            A view that is not two numbers.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> cubic = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Fe": (0, 0, 0)})
-        >>> figure = cubic.bonds(max_distance=1.5).plot()
-        """
-        figure: Figure = shortcut("draw_result")("bonds", self, self._cell, view)
-        return figure
+        return Bonds(self._bonds[key]) if isinstance(key, slice) else self._bonds[key]
 
     def __str__(self) -> str:
         header = ("bond", "sites", "offset", "vector", "distance", "in a cell", "at a site", "free")

@@ -20,6 +20,7 @@ from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Declara
 from coadjoint.systems.lattices.space_groups import product
 from coadjoint.systems.lattices.spin_lattice import axes_orthogonal_to
 from coadjoint.systems.lattices.spin_model import SpinModel
+from coadjoint.systems.lattices.spin_terms import edges_of
 from coadjoint.systems.lattices.spin_operators import (
     coefficients_of,
     coherent_amplitudes,
@@ -83,7 +84,7 @@ class CoherentSpinModel(SpinModel):
         set_fields(self, levels=levels)
         every, width = cell * math.prod(declared.size), levels**2 - 1
         check_available_memory(200 * every + 16 * every * width, f"{short(every)} sites of SU({levels})")
-        edges, blocks, field, driven = self._edges(every)
+        edges, blocks, field, driven = edges_of(declared, declared.moments / declared.lengths)  # of dipoles <S>
         count = every if declared.occupied is None else len(declared.occupied)
         of_cell = np.zeros((cell, 1 + width))
         for anisotropy in declared.anisotropies:
@@ -144,10 +145,6 @@ class CoherentSpinModel(SpinModel):
             of_site = np.concatenate([axis, np.zeros(width - 3)])
             found[f"total {name}"] = partial(Quadratic, np.zeros(count * width), linear=np.tile(of_site, count))
         return found
-
-    @property
-    def _moments_of_states(self) -> Floats:
-        return self.moments / self.spin  # of the dipoles <S> in the states
 
     def _for_states(self, matrices: Floats, sites: Any, of_directions: bool = False) -> Floats:
         size = self.levels**2

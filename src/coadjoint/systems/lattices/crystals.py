@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.bonds import Bond, Bonds, Cell, Site
+from coadjoint.systems.lattices.bonds import Bond, Bonds, Site
 from coadjoint.systems.lattices.space_groups import (
     SymmetryOperations,
     fits,
@@ -208,7 +208,7 @@ class Crystal:
                 bonds.append(self._class_of(key))
                 for (i, j), n in zip(bonds[-1].sites.tolist(), bonds[-1].offsets.tolist(), strict=True):
                     seen.update([(i, j, *n), (j, i, *(-m for m in n))])
-        return Bonds(self._named(bonds), Cell(self.lattice, self.labels, self.positions))
+        return Bonds(self._named(bonds))
 
     def _named(self, bonds: list[Bond]) -> list[Bond]:
         bonds = sorted(bonds, key=lambda bond: bond.distance)
@@ -335,6 +335,19 @@ class Crystal:
                 )
             shifts[k] = cells[np.arange(sites), images[k]]
         return images, shifts
+
+
+def check_bond(crystal: Crystal, bond: Any) -> None:
+    """Raise an error for anything else than a bond of a crystal."""
+    if not isinstance(bond, Bond):
+        raise TypeError(f'bond is {short(bond)}; give one of crystal.bonds(max_distance), such as bonds["1"]')
+    known = max(bond.first, bond.second) < len(crystal.labels)
+    ends = (crystal.labels[bond.first], crystal.labels[bond.second]) if known else ()
+    if ends == bond.kinds:
+        step = crystal.positions[bond.second] + bond.offset - crystal.positions[bond.first]
+        known = bool(np.abs(step @ crystal.lattice - bond.vector).max() <= 1e-9 * bond.distance)
+    if ends != bond.kinds or not known:
+        raise ValueError(f"{bond!r} is of another crystal than {crystal!r}; take one of its own bonds")
 
 
 def label_of(crystal: Crystal, name: Any, what: str) -> str:

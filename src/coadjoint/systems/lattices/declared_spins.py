@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -106,6 +107,7 @@ class Anisotropy(NamedTuple):
 class Biquadratic(NamedTuple):
     """Strengths K of K (S_i . S_j)^2 of bonds of a cell, of unit vectors; `bonds` (k, 5) are sites and offsets."""
 
+    what: str
     bond: str
     bonds: Integers
     strengths: Floats
@@ -139,6 +141,38 @@ class Declaration:
     anisotropies: tuple[Anisotropy, ...] = ()
     field: Any = None
     dipolar: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of all sites, also of empty ones."""
+        return len(self.crystal.labels) * math.prod(self.size)
+
+    @property
+    def numbers(self) -> Integers:
+        """Numbers of the occupied sites among all."""
+        return np.arange(self.count) if self.occupied is None else self.occupied
+
+    @property
+    def sites(self) -> Integers:
+        """Number of the site of each spin in its cell."""
+        return self.numbers % len(self.crystal.labels)
+
+    @property
+    def lengths(self) -> Floats:
+        """Length S of each spin."""
+        return self._with_substituted(self.spin, lambda ion: ion.spin)
+
+    @property
+    def moments(self) -> Floats:
+        """Moment g S of each spin."""
+        return self._with_substituted(self.g * self.spin, lambda ion: ion.g * ion.spin)
+
+    def _with_substituted(self, of_cell: Floats, of_ion: Callable[[Substitution], float]) -> Floats:
+        """Return numbers of the spins, from those of the sites of a cell, and of ions that are in their place."""
+        found, numbers = of_cell[self.sites], self.numbers
+        for ion in self.substitutions:
+            found[np.searchsorted(numbers, ion.numbers[np.isin(ion.numbers, numbers)])] = of_ion(ion)
+        return found
 
 
 def merged_bonds(declared: Declaration) -> tuple[list[tuple[int, ...]], Floats, list[int]]:

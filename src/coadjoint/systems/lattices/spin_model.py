@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
 from coadjoint.systems.lattices.bonds import Bond, antisymmetric
-from coadjoint.systems.lattices.couplings import Blocks, coupled_spins, driving_field, is_uniform
-from coadjoint.systems.lattices.crystals import Crystal, label_of
+from coadjoint.systems.lattices.crystals import Crystal, check_bond, label_of
 from coadjoint.systems.lattices.declared_spins import (
     UNITS,
     Anisotropy,
@@ -26,23 +22,11 @@ from coadjoint.systems.lattices.declared_spins import (
     ExchangeTable,
     Substitution,
     cells_text,
-    check_joined_once,
     check_sizes,
-    merged_bonds,
 )
-from coadjoint.systems.lattices.dipoles import DipolarCells, dipolar_energy
-from coadjoint.systems.lattices.geometry import BYTES_PER_EDGE, edges_of_bonds
-from coadjoint.systems.lattices.space_groups import product
-from coadjoint.systems.lattices.spin_lattice import (
-    MAX_STORED_VALUES,
-    on_spins,
-    precession,
-    total_spins,
-)
-from coadjoint.systems.lattices.spin_polynomials import polynomial_of_spins, propagated, read_stevens
-from coadjoint.systems.lattices.twists import Twist, windings
+from coadjoint.systems.lattices.spin_polynomials import propagated, read_stevens
+from coadjoint.systems.lattices.spin_terms import system_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
@@ -80,151 +64,8 @@ class SpinModel(LiePoissonSystem):
 
     def __init__(self, declared: Declaration) -> None:
         set_fields(self, _declared=declared)
-        units, cell = UNITS[declared.units], len(declared.crystal.labels)
-        sites = cell * math.prod(declared.size)
-        check_available_memory(200 * sites, f"{short(sites)} spins")
-        edges, blocks, field, driven = self._edges(sites)
-        occupied = declared.occupied
-        count = sites if occupied is None else len(occupied)
-        if declared.twist is not None:
-            self._check_invariant(declared.twist)
-        matrices = np.zeros((cell, 3, 3))
-        quartic = bool(declared.biquadratics) or any(one.polynomials for one in declared.anisotropies)
-        for anisotropy in declared.anisotropies:
-            matrices[anisotropy.sites] += anisotropy.matrices
-        on_site = self._scaled_by_lengths(Blocks(matrices, self.sites), (np.arange(count),))
-        if not np.any(matrices):
-            on_site = Blocks(np.zeros((1, 3, 3)), np.broadcast_to(np.int64(0), count))
-        H: Any = coupled_spins(count, edges, blocks, Blocks(2.0 * on_site.distinct, on_site.number), -field)
-        if quartic:
-            H = H + self._polynomial(count)
-        uniform = None
-        if driven is not None:
-            driving, uniform = driving_field(driven, count)
-            H = H + driving
-        if declared.dipolar:
-            moments = declared.g * declared.spin
-            factors = self.moments / moments[self.sites] if declared.substitutions else None
-            cells = DipolarCells(
-                declared.crystal.lattice,
-                declared.crystal.positions @ declared.crystal.lattice,
-                declared.size,
-                declared.periodic,
-                moments,
-                occupied,
-                factors,
-            )
-            H = H + dipolar_energy(cells, units.dipole)
-        mu = units.hbar * (self.spin if np.ptp(declared.spin) or declared.substitutions else declared.spin[0])
-        plain = driven is None and not declared.dipolar and not quartic
-        J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
-        exact = precession(count, edges, J, T if len(edges) else np.zeros((3, 3)), K, field, mu) if plain else None
-        # A function of z alone leaves the rotations about it, as its square does.
-        exponents = [key for one in declared.anisotropies for *_, terms in one.polynomials for key in terms]
-        axial = np.diag([0.0, 0.0, float(bool(exponents))])
-        known = not declared.dipolar and not any(key[0] or key[1] for key in exponents)
-        total = partial(total_spins, count, T, np.zeros(3), np.concatenate([K, axial[None]]), field, uniform, mu)
-        integrals = KnownInvariants(total()) if known else {}
-        super().__init__(
-            hamiltonian=H,
-            **on_spins(count, mu),
-            parameters=_parameters(count, edges, blocks, on_site, field, mu) if plain else None,
-            exact=exact,
-            integrals=integrals,
-            layout={"lattice": "graph"},
-        )
-        set_fields(self, boltzmann=units.k_B)
-
-    def _edges(self, sites: int) -> tuple[Integers, Blocks, Floats, Callable[..., Any] | None]:
-        """Return edges, their matrices, the energies of spins in a constant field, and a function for another."""
-        declared = self._declared
-        bonds, distinct, kinds = merged_bonds(declared)
-        check_available_memory(BYTES_PER_EDGE * len(bonds) * math.prod(declared.size), f"bonds of {short(sites)} spins")
-        cell = len(declared.crystal.labels)
-        by_bond = edges_of_bonds(cell, [(i, j, tuple(n)) for i, j, *n in bonds], declared.size, declared.periodic)
-        numbers = np.repeat(np.array(kinds, dtype=np.int64), [len(part) for part in by_bond])
-        if declared.twist is not None:
-            turns, turn = self._turns(bonds)
-            distinct = product(distinct[:, None], turns).reshape(-1, 3, 3)
-            numbers = numbers * len(turns) + turn
-        edges = np.concatenate([np.zeros((0, 2), dtype=np.int64), *by_bond])
-        if declared.occupied is not None:
-            new = np.full(sites, -1)
-            new[declared.occupied] = np.arange(len(declared.occupied))
-            edges = new[edges]
-            both = np.all(edges >= 0, axis=1)
-            edges, numbers = edges[both], numbers[both]
-        blocks = self._scaled_by_lengths(Blocks(distinct, numbers), (edges[:, 0], edges[:, 1]))
-        alike = not (np.ptp(declared.g * declared.spin) or declared.substitutions)
-        moments = UNITS[declared.units].mu_B * (self._moments_of_states[:1] if alike else self._moments_of_states)
-        field = declared.field
-        if field is None:
-            field = np.zeros(3)
-        if callable(field):
-            return edges, blocks, np.zeros(3), _scaled(field, moments, len(self.sites))
-        field = moments[:, None] * field
-        return edges, blocks, field[0] if len(field) == 1 else field, None
-
-    def _turns(self, bonds: Sequence[tuple[int, ...]]) -> tuple[Floats, Integers]:
-        """Return the distinct rotations of second spins of bonds of a cell, and the number of that of each edge."""
-        declared = self._declared
-        crossed = [windings(tuple(n), declared.size, declared.periodic) for _, _, *n in bonds]
-        joined = np.concatenate([np.zeros((0, 3), dtype=np.int64), *crossed])
-        if declared.twist is None or not len(joined):
-            return np.eye(3)[None], np.zeros(len(joined), dtype=np.int64)
-        return declared.twist.matrices(joined)
-
-    def _check_invariant(self, twist: Twist) -> None:
-        """Raise ValueError for terms that rotations about the axis of a twist change."""
-        declared = self._declared
-        for coupling in declared.couplings:
-            twist.check_matrices(coupling.matrices, f"{coupling.what} on bond {coupling.bond}")
-        for anisotropy in declared.anisotropies:
-            what = f"single_ion on {anisotropy.text.partition(':')[0]}"
-            twist.check_matrices(anisotropy.matrices, what)
-            for *_, polynomial in anisotropy.polynomials:
-                twist.check_polynomial(polynomial, what)
-        if declared.field is not None:
-            twist.check_field(declared.field)
-        if declared.dipolar:
-            raise ValueError("dipolar is given for a twisted lattice, whose rotations change it; give no twist")
-
-    def _polynomial(self, count: int) -> Any:
-        """Return the terms of degree four and six."""
-        declared = self._declared
-        sites = len(declared.crystal.labels) * math.prod(declared.size)
-        ratios = np.zeros(sites)
-        ratios[self._numbers] = self.spin / declared.spin[self.sites]
-        new = np.full(sites, -1)
-        new[self._numbers] = np.arange(count)
-        edges, strengths, owner = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)], dict[tuple[int, ...], str]()
-        for one in declared.biquadratics:
-            bonds = [(i, j, tuple(n)) for i, j, *n in one.bonds.tolist()]
-            owner |= {(i, j, *n): one.bond for i, j, n in bonds}
-            by_bond = edges_of_bonds(len(declared.crystal.labels), bonds, declared.size, declared.periodic)
-            edges += by_bond
-            strengths += [np.full(len(part), K) for part, K in zip(by_bond, one.strengths.tolist(), strict=True)]
-        check_joined_once(declared, owner)
-        joined = np.concatenate(edges)
-        scaled = np.concatenate(strengths) * np.prod(ratios[joined] ** 2, axis=1)
-        turns, turn = self._turns([bond for one in declared.biquadratics for bond in map(tuple, one.bonds.tolist())])
-        present = np.all(new[joined] >= 0, axis=1)
-        on_sites = []
-        for anisotropy in declared.anisotropies:
-            for site, degree, polynomial in anisotropy.polynomials:
-                numbers = np.flatnonzero(self.sites == site)
-                on_sites.append((numbers, ratios[self._numbers[numbers]] ** degree, polynomial))
-        return polynomial_of_spins(count, new[joined[present]], scaled[present], (turns, turn[present]), on_sites)
-
-    def _scaled_by_lengths(self, blocks: Blocks, ends: tuple[Integers, ...]) -> Blocks:
-        """Return matrices of edges (two ends) or sites (one) times the ratios of the lengths of substituted spins."""
-        if not self._declared.substitutions:
-            return blocks
-        ratios, classes = np.unique(self.spin / self._declared.spin[self.sites], return_inverse=True)
-        first, last = classes[ends[0]], classes[ends[-1]]
-        count = len(ratios)
-        distinct = blocks.distinct[:, None, None] * (ratios[:, None] * ratios)[:, :, None, None]
-        return Blocks(distinct.reshape(-1, 3, 3), (blocks.number * count + first) * count + last)
+        super().__init__(**system_of(declared))
+        set_fields(self, boltzmann=UNITS[declared.units].k_B)
 
     @property
     def crystal(self) -> Crystal:
@@ -252,44 +93,24 @@ class SpinModel(LiePoissonSystem):
         return self._declared.units
 
     @property
-    def _numbers(self) -> Integers:
-        """Numbers of the occupied sites among all."""
-        declared = self._declared
-        if declared.occupied is not None:
-            return declared.occupied
-        return np.arange(len(declared.crystal.labels) * math.prod(declared.size))
-
-    @property
     def sites(self) -> Integers:
         """Number of the site of each spin in its cell, (sites,)."""
-        return self._numbers % len(self.crystal.labels)
+        return self._declared.sites
 
     @property
     def cells(self) -> Integers:
         """Cell of each spin, (sites, 3)."""
-        return np.stack(np.unravel_index(self._numbers // len(self.crystal.labels), self.size), axis=-1)
+        return np.stack(np.unravel_index(self._declared.numbers // len(self.crystal.labels), self.size), axis=-1)
 
     @property
     def spin(self) -> Floats:
         """Length S of each spin, (sites,)."""
-        return self._with_substituted(self._declared.spin, lambda ion: ion.spin)
+        return self._declared.lengths
 
     @property
     def moments(self) -> Floats:
         """Moment g S of each spin in units of mu_B, (sites,)."""
-        return self._with_substituted(self._declared.g * self._declared.spin, lambda ion: ion.g * ion.spin)
-
-    @property
-    def _moments_of_states(self) -> Floats:
-        """Moment of a state of length 1 of each spin, in units of mu_B."""
-        return self.moments
-
-    def _with_substituted(self, of_cell: Floats, of_ion: Callable[[Substitution], float]) -> Floats:
-        """Return numbers of the spins, from those of the sites of a cell, and of ions that are in their place."""
-        found, numbers = of_cell[self.sites], self._numbers
-        for ion in self._declared.substitutions:
-            found[np.searchsorted(numbers, ion.numbers[np.isin(ion.numbers, numbers)])] = of_ion(ion)
-        return found
+        return self._declared.moments
 
     @property
     def positions(self) -> Floats:
@@ -400,13 +221,11 @@ class SpinModel(LiePoissonSystem):
         -0.4
         """
         self._check_bond(bond, "biquadratic")
-        if any(one.bond == bond.name for one in self._declared.biquadratics):
-            raise ValueError(f"bond {bond.name} has biquadratic in this model; give the sum of both once")
         value, lengths = read_number(K, "K"), self._declared.spin[bond.sites]
         strengths = value * np.prod(lengths**2, axis=1)
         check_sizes(strengths, "the biquadratic coupling")
         bonds = np.column_stack([bond.sites, bond.offsets])
-        added = Biquadratic(bond.name, bonds, strengths, f"K = {value!r}")
+        added = Biquadratic("biquadratic", bond.name, bonds, strengths, f"K = {value!r}")
         return self._with(biquadratics=(*self._declared.biquadratics, added))
 
     def single_ion(self, site: str | int, matrix: Any) -> Self:
@@ -609,7 +428,7 @@ class SpinModel(LiePoissonSystem):
                 raise ValueError(f"fraction is {short(dict(fraction))}, which has a label and its element; give one")
         generator = np.random.default_rng(read_seed(seed, "seed"))
         removed = [self._chosen(generator, label, value) for label, value in given.items()]
-        occupied = np.setdiff1d(self._numbers, np.concatenate([self._numbers[:0], *removed]))
+        occupied = np.setdiff1d(self._declared.numbers, np.concatenate([self._declared.numbers[:0], *removed]))
         if not len(occupied):
             raise ValueError(f"fraction is {short(fraction)}, which leaves no spin; give a smaller one")
         return self._with(occupied=occupied)
@@ -663,7 +482,7 @@ class SpinModel(LiePoissonSystem):
 
     def _chosen(self, generator: np.random.Generator, label: str | None, fraction: Any) -> Integers:
         """Return the numbers of a random part of the spins of a label, or of all, in order."""
-        part, numbers = read_number(fraction, "fraction"), self._numbers
+        part, numbers = read_number(fraction, "fraction"), self._declared.numbers
         if not 0.0 <= part < 1.0:
             raise ValueError(f"fraction is {part!r}; give a number from 0 to less than 1")
         if label is not None:
@@ -691,17 +510,10 @@ class SpinModel(LiePoissonSystem):
         return changed._with_acting(self.forces) if self.forces else changed
 
     def _check_bond(self, bond: Any, what: str) -> None:
-        if not isinstance(bond, Bond):
-            raise TypeError(f'bond is {short(bond)}; give one of crystal.bonds(max_distance), such as bonds["1"]')
-        crystal = self.crystal
-        known = max(bond.first, bond.second) < len(crystal.labels)
-        ends = (crystal.labels[bond.first], crystal.labels[bond.second]) if known else ()
-        if ends == bond.kinds:
-            step = crystal.positions[bond.second] + bond.offset - crystal.positions[bond.first]
-            known = bool(np.abs(step @ crystal.lattice - bond.vector).max() <= 1e-9 * bond.distance)
-        if ends != bond.kinds or not known:
-            raise ValueError(f"{bond!r} is of another crystal than {crystal!r}; take one of model.crystal.bonds")
-        if any(one.what == what and one.bond == bond.name for one in self._declared.couplings):
+        check_bond(self.crystal, bond)
+        declared = self._declared
+        given = [(one.what, one.bond) for one in (*declared.couplings, *declared.biquadratics)]
+        if (what, bond.name) in given:
             raise ValueError(f"bond {bond.name} has {what} in this model; give the sum of both once")
 
     def _coupled(self, what: str, bond: Bond, matrices: Floats, text: str) -> Self:
@@ -774,40 +586,6 @@ class SpinModel(LiePoissonSystem):
         return "\n".join(lines)
 
     _declared: Declaration
-
-
-def _parameters(
-    count: int, edges: Integers, blocks: Blocks, on_site: Blocks, field: Floats, mu: Any
-) -> dict[str, Any] | None:
-    """Return the parameters with which `spin_lattice` makes the system; None if they are too many."""
-    if 11 * len(edges) + 13 * count > MAX_STORED_VALUES:
-        return None
-    found: dict[str, Any] = {"lattice": as_tuples(edges), "shape": count, "periodic": False, "exchange": -1.0}
-    found["tensor"] = as_tuples(blocks.distinct[blocks.number]) if len(edges) else (1.0, 1.0, 1.0)
-    found["dm"] = (0.0, 0.0, 0.0)
-    found["field"] = as_tuples(field)
-    found["on_site"] = as_tuples(-on_site.distinct[on_site.number]) if np.any(on_site.distinct) else (0.0, 0.0, 0.0)
-    if np.ndim(mu) or mu != 1.0:
-        found["moments"] = as_tuples(np.asarray(mu))
-    return found
-
-
-def _scaled(field: Callable[..., Any], moments: Floats, count: int) -> Callable[..., Any]:
-    """Return the function of the time that is moments times the field of a function."""
-    if is_uniform(field, count) and len(moments) == 1:
-        moment = float(moments[0])
-
-        def uniform(t: Any) -> Any:
-            B = field(t)
-            return moment * B[0], moment * B[1], moment * B[2]
-
-        return uniform
-    each = np.broadcast_to(moments, count).copy()
-
-    def of_each(t: Any) -> Any:
-        return each.reshape(-1, 1) * np.asarray(field(t))
-
-    return of_each
 
 
 def _in_energies(force: Any, boltzmann: float) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from itertools import product as products
 from typing import Any
@@ -67,14 +66,13 @@ def read_stevens(coefficients: Mapping[Any, Any], length: float) -> tuple[Floats
     if not coefficients:
         raise ValueError("the Stevens coefficients are empty; give some, such as {'B20': 0.1, 'B43': -0.02}")
     for name, given in coefficients.items():
-        found = re.fullmatch(r"B([246])(-?[0-6])", name) if isinstance(name, str) else None
-        if found is None or abs(m := int(found[2])) > (degree := int(found[1])) or name not in NAMES:
+        if name not in NAMES:
             raise ValueError(
                 f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6"
             )
         value = read_number(given, f"the coefficient {name}")
-        m, factor = int(found[2]), value * length**degree
-        polynomial = stevens(degree, m)
+        degree = int(name[1])
+        factor, polynomial = value * length**degree, stevens(degree, int(name[2:]))
         if degree == 2:
             matrix += factor * _quadratic(polynomial)
         else:
@@ -145,11 +143,10 @@ def turned(polynomial: SitePolynomial, turn: Floats) -> SitePolynomial:
     for exponents, c in polynomial.items():
         factors: list[SitePolynomial] = [_power(rows[axis], e) for axis, e in enumerate(exponents)]
         for chosen in products(*(factor.items() for factor in factors)):
-            key = tuple(sum(e[axis] for e, _ in chosen) for axis in range(3))
-            value = c * math.prod(v for _, v in chosen)
-            total[key] = total.get(key, 0.0) + value  # type: ignore[index]
+            x, y, z = (sum(e[axis] for e, _ in chosen) for axis in range(3))
+            total[x, y, z] = total.get((x, y, z), 0.0) + c * math.prod(v for _, v in chosen)
     size = max(map(abs, total.values()))
-    return {key: value for key, value in total.items() if abs(value) > 1e-14 * size}  # type: ignore[misc]
+    return {key: value for key, value in total.items() if abs(value) > 1e-14 * size}
 
 
 def _power(row: Sequence[float], exponent: int) -> SitePolynomial:
