@@ -26,6 +26,7 @@ from coadjoint.files.crystals.magnetic_structure import MagneticStructure
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.lattices.bonds import Bond, Site
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.declared_spins import ExchangeTable
 from coadjoint.systems.lattices.spin_model import SpinModel
@@ -74,6 +75,11 @@ MEMBERS_OF = (
         "biquadratic cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites "
         "size spin substitute twist units vacancies",
     ),
+    (
+        "A spin model of SU(N), in addition",
+        CoherentSpinModel,
+        "biquadratic coherent dipoles expectation from_amplitudes pair_coupling random single_ion",
+    ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
@@ -113,6 +119,7 @@ ATTRIBUTES_NOT_LISTED = (
     co.Splitting,
     co.PreparedRun,
     SpinModel,
+    CoherentSpinModel,
 )
 """Classes whose annotated attributes are not for users."""
 NAMESPACES = (

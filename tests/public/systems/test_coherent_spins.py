@@ -69,7 +69,9 @@ class Schroedinger:
     def energy(self, t, Z):
         single = self.on_site - self.moment * np.einsum("k,kab->ab", self.B(t), self.S)
         total = np.einsum("ia,iab,ib", Z.conj(), single, Z).real
-        return total + sum(np.einsum("a,b,abcd,c,d", Z[i].conj(), Z[j].conj(), P, Z[i], Z[j]).real for i, j, P in self.pairs)
+        return total + sum(
+            np.einsum("a,b,abcd,c,d", Z[i].conj(), Z[j].conj(), P, Z[i], Z[j]).real for i, j, P in self.pairs
+        )
 
     def run(self, Z, span):
         def field(t, y):
@@ -89,7 +91,7 @@ def amplitudes(count, N, seed=1):
 def full_model(S, units):
     """Return a model with every term on two sublattices, and the equation by hand."""
     rng = np.random.default_rng(5)
-    model = co.systems.spins(LOW, (2, 1, 1), spin=S, g=-1.7, periodic=(False, True, True), units=units, mode="SU(N)")
+    model = co.systems.spins(LOW, (2, 2, 1), spin=S, g=-1.7, periodic=(False, True, False), units=units, mode="SU(N)")
     hbar, mu_B = (HBAR, MU_B) if units == "meV" else (1.0, 1.0)
     N, (first, second, third) = round(2 * S + 1), LOW.bonds(3.1)[:3]
     reference = Schroedinger(model, S, -1.7, hbar, mu_B)
@@ -113,7 +115,7 @@ def test_motion_is_that_of_schroedinger(S, units):
     strength = 1.0 / reference.moment
     reference.B = lambda t: strength * np.array([0.3, -0.2, 0.5])
     model = model.field(reference.B(0.0))
-    Z = amplitudes(4, reference.N)
+    Z = amplitudes(8, reference.N)
     x0 = model.from_amplitudes(np.exp(2j) * Z)
     assert np.isclose(model.energy(x0), reference.energy(0.0, Z), rtol=1e-13, atol=1e-13)
     span = (1.0, 1.0 + 0.4 * reference.hbar)
@@ -136,7 +138,9 @@ def test_motion_is_that_of_schroedinger(S, units):
 
 
 def test_fields_of_time():
-    model = co.systems.spins(CHAIN, (2, 1, 1), spin=1, g=2, periodic=False, mode="SU(N)").exchange(CHAIN.bonds(1)["1"], 0.7)
+    model = co.systems.spins(CHAIN, (2, 1, 1), spin=1, g=2, periodic=False, mode="SU(N)").exchange(
+        CHAIN.bonds(1)["1"], 0.7
+    )
     reference = Schroedinger(model, 1, 2, 1.0, 1.0)
     reference.couple(CHAIN.bonds(1)["1"], 0.7 * sum(np.kron(s, s) for s in spin_matrices(1)))
     reference.B = lambda t: np.array([0.3 * t, 0.1, 0.2])
@@ -158,7 +162,9 @@ def test_spins_of_one_half_are_dipoles(units):
     x0 = quantum.coherent(3.0 * n)
     assert np.allclose(x0, 0.5 * n.ravel(), atol=1e-15)
     assert np.isclose(quantum.energy(x0), classical.energy(n.ravel()), rtol=1e-13)
-    runs = [co.integrate(one, x, (0, 2), 0.05, co.Splitting(order=4)) for one, x in ((classical, n.ravel()), (quantum, x0))]
+    runs = [
+        co.integrate(one, x, (0, 2), 0.05, co.Splitting(order=4)) for one, x in ((classical, n.ravel()), (quantum, x0))
+    ]
     assert np.allclose(runs[0].x, 2.0 * runs[1].x, atol=1e-13, rtol=0)
     assert np.allclose(runs[0].energy, runs[1].energy, rtol=0, atol=1e-12)
 
@@ -183,8 +189,17 @@ def test_states_and_expectations(S):
     # Random states are uniform: the mean of <A>^2 is (tr A^2 + (tr A)^2)/(N (N + 1)).
     many = model.expectation(model.random(3, 4000), spin[2]) ** 2
     assert abs(many.mean() - np.sum(spin[2] ** 2).real / (N * (N + 1))) < 4 * many.std() / np.sqrt(many.size)
-    square = (model.dim // 3) and np.sum(x[: N * N - 1] ** 2)
-    assert np.isclose(square, 2 * S**2 * (S + 1) / 3, rtol=1e-12)
+    assert np.isclose(np.sum(x[: N * N - 1] ** 2), 2 * S**2 * (S + 1) / 3, rtol=1e-12)
+
+
+def amplitudes_of(model, x):
+    """Return amplitudes of a state, from expectations of E_ab + E_ba and i (E_ab - E_ba)."""
+    rho = np.zeros((len(model.sites), model.levels, model.levels), dtype=complex)
+    for a, b in itertools.product(range(model.levels), repeat=2):
+        E = np.zeros((model.levels, model.levels))
+        E[a, b] = 1.0
+        rho[:, a, b] = 0.5 * (model.expectation(x, E + E.T) + 1j * model.expectation(x, 1j * (E - E.T)))
+    return np.linalg.eigh(rho)[1][:, :, -1]
 
 
 def random_means(energy, N, count, kT, seed=7, samples=200_000):
@@ -207,10 +222,9 @@ def anisotropic(S, D=1.0, size=(2, 2, 2), units="natural"):
 
 @pytest.mark.parametrize(("S", "kT", "mean"), EXACT)
 def test_thermal_states_of_anisotropic_ions(S, kT, mean):
-    D, kelvin = 0.7, K_B
-    states = co.thermal_states(
-        anisotropic(S, D, units="meV"), temperature=D * kT / kelvin, members=250, sweeps=35, seed=2, over_relaxation=S == 2
-    )
+    D, model = 0.7, anisotropic(S, 0.7, units="meV")
+    members = 1000 if S == 1 else 250
+    states = co.thermal_states(model, D * kT / K_B, members, seed=2, sweeps=35, over_relaxation=S - 1)
     energy = states.energy[5:].mean(axis=0) / (8 * D)
     error = energy.std() / np.sqrt(len(energy))
     assert abs(energy.mean() - mean) < 4 * error < 0.01 * mean * 4
@@ -240,7 +254,6 @@ def test_baths_of_anisotropic_ions():
 
 
 def test_thermal_states_of_coupled_sites():
-    model, reference = full_model(1, "natural")
     model = co.systems.spins(CHAIN, (2, 1, 1), spin=1, periodic=False, mode="SU(N)")
     bond, A = CHAIN.bonds(1)["1"], hermitian(np.random.default_rng(4), 3)
     P = 0.4 * hermitian(np.random.default_rng(3), 9)
@@ -297,7 +310,7 @@ def test_frequencies_of_a_quantum_paramagnet():
 
 
 def test_frequencies_are_those_of_generalized_spin_waves():
-    """An easy-axis antiferromagnet with biquadratic coupling and a field: two branches, of dipoles and of quadrupoles."""
+    """An easy-axis antiferromagnet with biquadratic coupling in a field: branches of dipoles and of quadrupoles."""
     D, J, K, B, L = -0.8, 1.0, 0.15, 0.3, 4
     bond = CHAIN.bonds(1)["1"]
     Sx, Sy, Sz = co.spins.operators(1)
@@ -306,20 +319,8 @@ def test_frequencies_are_those_of_generalized_spin_waves():
     model = model.single_ion("Ni", A).field((0, 0, B))
     up_and_down = np.where(np.arange(L) % 2, -1, 1)[:, None] * UP
     found = co.equilibrium(model, model.coherent(up_and_down + [0.2, 0, 0]))
-    rho = found.x
-    Z = []
-    for site in range(L):  # the amplitudes, from expectations of projections
-        e = np.eye(3)
-        R = [[model.expectation(rho, np.outer(e[a], e[b]) + np.outer(e[b], e[a]))[site] / 2 for b in range(3)] for a in range(3)]
-        I = [
-            [model.expectation(rho, 1j * (np.outer(e[a], e[b]) - np.outer(e[b], e[a])))[site] / 2 for b in range(3)]
-            for a in range(3)
-        ]
-        Z.append(np.linalg.eigh(np.array(R) + 1j * np.array(I))[1][:, -1])
-    Z = np.array(Z)
-    if not np.allclose(model.from_amplitudes(Z), rho, atol=1e-8):
-        Z = Z.conj()
-    assert np.allclose(model.from_amplitudes(Z), rho, atol=1e-8)
+    Z = amplitudes_of(model, found.x)
+    assert np.allclose(model.from_amplitudes(Z), found.x, atol=1e-8)
     reference = Schroedinger(model, 1, 2, 1.0, 1.0)
     scalar = sum(np.kron(s, s) for s in spin_matrices(1))
     reference.couple(bond, J * scalar + K * scalar @ scalar)
@@ -335,7 +336,9 @@ def test_symmetry_turns_operators():
     spin = spin_matrices(1.5)
     axial = sum(Q[a, b] * spin[a] @ spin[b] for a in range(3) for b in range(3))
     bond = CUBE.bonds(1)["1"]
-    model = co.systems.spins(CUBE, (2, 2, 2), spin=1.5, periodic=False, mode="SU(N)").pair_coupling(bond, np.kron(axial, axial))
+    model = co.systems.spins(CUBE, (2, 2, 2), spin=1.5, periodic=False, mode="SU(N)").pair_coupling(
+        bond, np.kron(axial, axial)
+    )
     cubic = sum(np.linalg.matrix_power(one, 4) for one in spin_matrices(2))
     ions = co.systems.spins(CUBE, (1, 1, 1), spin=2, mode="SU(N)").single_ion("Fe", cubic)
     Z = amplitudes(8, 4)
@@ -347,10 +350,14 @@ def test_symmetry_turns_operators():
         order = [int(np.flatnonzero(np.all(cells == one, axis=1))[0]) for one in moved.round()]
         turned = np.empty_like(Z)
         turned[order] = Z @ expm(-1j * np.einsum("k,kab->ab", vector, spin)).T
-        assert np.isclose(model.energy(model.from_amplitudes(turned)), model.energy(model.from_amplitudes(Z)), atol=1e-12)
+        assert np.isclose(
+            model.energy(model.from_amplitudes(turned)), model.energy(model.from_amplitudes(Z)), atol=1e-12
+        )
         state = amplitudes(1, 5, 2)
         image = state @ expm(-1j * np.einsum("k,kab->ab", vector, spin_matrices(2))).T
-        assert np.isclose(ions.energy(ions.from_amplitudes(image)), ions.energy(ions.from_amplitudes(state)), atol=1e-12)
+        assert np.isclose(
+            ions.energy(ions.from_amplitudes(image)), ions.energy(ions.from_amplitudes(state)), atol=1e-12
+        )
     forbidden = spin_matrices(1.5)[0] @ spin_matrices(1.5)[0]
     with refused(ValueError, "not allowed by symmetry"):
         co.systems.spins(CUBE, (1, 1, 1), spin=1.5, mode="SU(N)").single_ion("Fe", forbidden)
@@ -369,7 +376,13 @@ def test_structure_factor_of_dipoles():
     peaks = abs(S.omega[S.components[:2].sum(axis=0).argmax(axis=1)])
     waves = np.sqrt(D**2 + 4 * D * J * np.cos(2 * np.pi * S.q[:, 0]))
     assert np.all(abs(peaks - waves) < 2 * np.pi / 100)
-    assert np.allclose(S.static[0], np.mean(np.sum(model.dipoles(sol.x).sum(axis=2) ** 2, axis=-1) * np.hanning(201)[:, None] ** 2) / np.mean(np.hanning(201) ** 2) / L, rtol=0.02)
+    assert np.allclose(
+        S.static[0],
+        np.mean(np.sum(model.dipoles(sol.x).sum(axis=2) ** 2, axis=-1) * np.hanning(201)[:, None] ** 2)
+        / np.mean(np.hanning(201) ** 2)
+        / L,
+        rtol=0.02,
+    )
 
 
 def test_meetings(tmp_path):
@@ -377,17 +390,18 @@ def test_meetings(tmp_path):
     bond = CHAIN.bonds(1)["1"]
     Sz = co.spins.operators(1)[2]
     made = [
-        co.systems.spins(CHAIN, (4, 1, 1), spin=1, mode="SU(N)").exchange(bond, J).single_ion("Ni", 0.4 * Sz @ Sz) for J in (0.5, 0.9)
+        co.systems.spins(CHAIN, (4, 1, 1), spin=1, mode="SU(N)").exchange(bond, J).single_ion("Ni", 0.4 * Sz @ Sz)
+        for J in (0.5, 0.9)
     ]
     model = made[0]
     x = model.random(1, 2)
-    batch = co.integrate(co.Batch(made), x, (0, 1), 0.1, co.Splitting(order=4))
+    batch = co.integrate(co.batch(made), x, (0, 1), 0.1, co.Splitting(order=4))
     for member, one in enumerate(made):
         alone = co.integrate(one, x[member], (0, 1), 0.1, co.Splitting(order=4))
         assert np.array_equal(alone.x, batch.x[:, member])
     assert list(model.integrals) == ["total S3"] and list(model.casimirs) == [f"|x|^2 [{k}]" for k in (1, 2, 3, 4)]
-    long = co.integrate(model, x[0], (0, 40), 0.1, observe=model.integrals)
-    assert np.ptp(long.observed["total S3"]) < 1e-13 and long.drift()["energy"] < 5e-3
+    long = co.integrate(model, x[0], (0, 40), 0.1, co.GaussLegendre(2), observe=model.integrals)
+    assert np.ptp(long.observed["total S3"]) < 1e-13 and long.drift()["energy"] < 1e-13
     isotropic = co.systems.spins(CHAIN, (4, 1, 1), spin=1, mode="SU(N)").biquadratic(bond, 0.3)
     assert list(isotropic.integrals) == ["total S1", "total S2", "total S3"]
 
@@ -395,18 +409,16 @@ def test_meetings(tmp_path):
     assert isinstance(bath, type(model)) and bath.levels == 3
     whole = co.integrate(bath, x[0], (0, 2), 0.1)
     co.integrate(bath, x[0], (0, 1), 0.1, archive=tmp_path / "run")
-    resumed = co.integrate(bath, co.load(tmp_path / "run").x[-1], (1, 2), 0.1)
-    assert np.array_equal(resumed.x[-1], whole.x[-1])
+    assert np.array_equal(co.resume(tmp_path / "run", 2.0).x, whole.x)
     assert co.load(tmp_path / "run", system=bath).system is bath
     damped = co.integrate(model.with_forces(co.forces.DoubleBracketDamping(0.5)), x[0], (0, 5), 0.1)
     assert np.all(np.diff(damped.energy) < 0)
 
     prepared = co.prepare(model, co.Splitting(order=2), step=0.1)
     v = np.random.default_rng(2).standard_normal(model.dim)
-    moved = prepared.jvp(x[0], v, (0, 1))
-    tangent = moved[1] if isinstance(moved, tuple) else moved
+    _, tangents = prepared.jvp(x[0], (0, 1), {"x0": v})
     ends = [prepared.run(x[0] + s * 1e-6 * v, (0, 1)).x[-1] for s in (1, -1)]
-    assert np.allclose(np.asarray(tangent).reshape(-1)[-model.dim :], (ends[0] - ends[1]) / 2e-6, atol=1e-7)
+    assert np.allclose(tangents.x[-1], (ends[0] - ends[1]) / 2e-6, atol=1e-7)
 
     for factor in (1e-7, 1e30):
         scaled = co.systems.spins(CHAIN, (4, 1, 1), spin=1, mode="SU(N)").exchange(bond, 0.5 * factor)
@@ -429,21 +441,21 @@ def test_meetings(tmp_path):
         (lambda m: m.substitute("Ni", 0.5, 1, spin=2.0), "substitute is not available"),
         (lambda m: m.single_ion("Ni", np.diag([0.0, 0.0, -0.1])), "time reversal"),
         (lambda m: m.single_ion("Ni", np.triu(np.ones((3, 3)))), "not Hermitian"),
-        (lambda m: m.single_ion("Ni", np.eye(2)), r"shape \(2, 2\)"),
+        (lambda m: m.single_ion("Ni", np.eye(2)), "shape (2, 2)"),
         (lambda m: m.single_ion("Ni", np.diag([np.nan, 0, 0])), "not finite"),
         (lambda m: m.single_ion("Ni", np.diag([1e101, 0, 1e101])), "larger units"),
         (lambda m: m.single_ion("Ni", np.diag([1, 0, 1])).single_ion("Ni", np.diag([1, 0, 1])), "give the sum"),
         (lambda m: m.biquadratic(CUBE.bonds(1)["1"], 0.1), "another crystal"),
         (lambda m: m.biquadratic(CHAIN.bonds(1)["1"], 0.1).biquadratic(CHAIN.bonds(1)["1"], 0.1), "give the sum"),
-        (lambda m: m.pair_coupling(CHAIN.bonds(1)["1"], np.eye(3)), r"\(9, 9\)"),
+        (lambda m: m.pair_coupling(CHAIN.bonds(1)["1"], np.eye(3)), "(9, 9)"),
         (lambda m: m.coherent((0, 0, 0)), "length zero"),
-        (lambda m: m.coherent(np.ones((2, 3))), r"shape \(2, 3\)"),
+        (lambda m: m.coherent(np.ones((2, 3))), "shape (2, 3)"),
         (lambda m: m.from_amplitudes(np.zeros((3, 3))), "without amplitude"),
-        (lambda m: m.from_amplitudes(np.ones((3, 2))), r"shape \(3, 2\)"),
-        (lambda m: m.expectation(np.ones(7), np.eye(3)), r"shape \(7,\)"),
+        (lambda m: m.from_amplitudes(np.ones((3, 2))), "shape (3, 2)"),
+        (lambda m: m.expectation(np.ones(7), np.eye(3)), "shape (7,)"),
         (lambda m: co.thermal_states(m, 1.0, seed=1, sweeps=1, method="Metropolis"), "heat bath"),
         (lambda m: co.thermal_states(m, 1.0, seed=1, sweeps=1, x0=np.zeros(m.dim)), "pure state"),
-        (lambda m: co.integrate(m, m.random(1), (0, 1), 0.1, co.SphericalMidpoint()), "so\\(3\\)|spins"),
+        (lambda m: co.integrate(m, m.random(1), (0, 1), 0.1, co.SphericalMidpoint()), "copies of so(3)"),
     ],
 )
 def test_refusals(call, words):
