@@ -40,6 +40,7 @@ SINGULAR = 1e-11  # the same of positive ones, which are raised to this: modes o
 NO_FREQUENCY = 4.0  # frequencies below this are zero, in units of what raised eigenvalues give to a soft mode
 DIVERGENT = 1e4  # norm of a mode over that of an undisturbed one, above which its intensity is infinite
 INVISIBLE = 1e-9  # part of the amplitude of such a mode that neutrons do not see
+UNEVEN = 1e-6  # difference of the distances of energies, relative to them
 DEGENERATE = 1e-9  # difference of frequencies, relative to the largest
 
 
@@ -135,15 +136,19 @@ class LinearModes:
         True
         """
         grid = read_finite(energies, "energies")
-        steps = np.diff(grid)
-        if grid.ndim != 1 or len(grid) < 2 or not np.all(np.abs(steps - steps.mean()) < 1e-6 * steps.mean()):
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.diff(np.atleast_1d(grid))
+            even = grid.ndim == 1 < len(grid) and np.all(np.abs(steps - steps[0]) <= UNEVEN * steps[0])
+        if not (even and steps[0] > 0.0):
             raise ValueError(f"energies is {short(energies)}; give two or more ascending, equidistant energies")
         finite = np.isfinite(self.intensity)
         weights = np.where(finite, self.intensity, 0.0)
         each = np.where(finite, self.components, 0.0)
         spectrum, components = np.empty((len(self.q), len(grid))), np.empty((3, len(self.q), len(grid)))
         for k, centres in enumerate(self.energies):
-            kernel = self.hbar * resolution(grid, centres, fwhm)
+            gaussians, sigma = resolution(grid, centres, fwhm)
+            with np.errstate(over="ignore", under="ignore"):
+                kernel = gaussians * (self.hbar / (np.sqrt(2.0 * np.pi) * sigma))
             spectrum[k], components[:, k] = kernel @ weights[k], each[:, k] @ kernel.T
         unknown, static = np.full_like(spectrum, np.nan), weights.sum(axis=1)
         places = self.distance, self.corners, self.shape

@@ -23,6 +23,7 @@ from coadjoint.validation import as_tuples, read_finite, read_number, read_posit
 Floats = NDArray[np.float64]
 
 SYMMETRY = "symmetry"
+MAX_LENGTH = 25.0  # of q, 1/angstrom: the sums of Gaussians are fits, some of which grow beyond
 F_ELEMENTS = (range(57, 72), range(89, 104))  # atomic numbers of lanthanides and actinides
 
 
@@ -96,7 +97,7 @@ class Neutrons:
         if self.domains is None or (isinstance(self.domains, str) and self.domains == SYMMETRY):
             return
         if isinstance(self.domains, str):
-            raise ValueError(f"domains is {self.domains!r}; give {SYMMETRY!r}, or matrices (domains, 3, 3)")
+            raise ValueError(f"domains is {short(self.domains)}; give {SYMMETRY!r}, or matrices (domains, 3, 3)")
         matrices = read_finite(self.domains, "domains")
         if matrices.ndim != 3 or matrices.shape[1:] != (3, 3) or not len(matrices):
             raise ValueError(f"domains has shape {matrices.shape}; give matrices (domains, 3, 3)")
@@ -140,13 +141,12 @@ class Neutrons:
         """
         lengths = read_finite(q, "q")
         if callable(ion):
-            found = np.asarray(ion(lengths))
-            if found.shape != lengths.shape or found.dtype.kind not in "iuf" or not np.isfinite(found).all():
-                raise ValueError(
-                    f"the form factor {short(ion)} returns {short(found)}; it must return finite numbers of the shape "
-                    f"of q, {lengths.shape}"
-                )
-            return found.astype(np.float64)
+            return values_at(ion, lengths, "the form factor")
+        if np.any(np.abs(lengths) > MAX_LENGTH):
+            raise ValueError(
+                f"q has the length {np.abs(lengths).max():.6g}, and tables of form factors reach {MAX_LENGTH:g} per "
+                "angstrom; take shorter wave vectors, or give a function of q"
+            )
         coefficients, is_f, c2 = _table(ion, "ion")
         factor = abs(read_number(g, "g"))
         if factor == 0.0:
@@ -166,6 +166,17 @@ def measured_waves(neutrons: Neutrons | None, waves: WaveVectors, lattice: Latti
     else:
         rotations = np.array(neutrons.domains)
     return turned_waves(waves, lattice, rotations)
+
+
+def values_at(function: Any, points: Floats, what: str) -> Floats:
+    """Return a function of the user at an array of points; an error if it fails, or returns anything else."""
+    try:
+        found = np.asarray(function(np.array(points)))
+    except Exception as reason:
+        raise TypeError(f"{what} fails ({type(reason).__name__}: {short(str(reason))}); give a function") from None
+    if found.shape not in ((), points.shape) or found.dtype.kind not in "iuf" or not np.isfinite(found).all():
+        raise ValueError(f"{what} returns {short(found)}; it must return finite numbers of the shape {points.shape}")
+    return np.broadcast_to(found, points.shape).astype(np.float64)
 
 
 def spins_of_states(model: SpinModel) -> Floats:

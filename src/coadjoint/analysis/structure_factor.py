@@ -16,6 +16,7 @@ from coadjoint.analysis.neutrons import (
     measured_waves,
     quantum_factor,
     scattering_lengths,
+    values_at,
 )
 from coadjoint.analysis.signals import sampled
 from coadjoint.analysis.standard_errors import student_factor
@@ -27,7 +28,7 @@ from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
-from coadjoint.validation import read_finite, read_list, read_number
+from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +37,7 @@ Floats = NDArray[np.float64]
 
 MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
+LEAST_WIDTH = 1e-12  # of a resolution, relative to the largest energy
 FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # full width at half maximum of a Gaussian, in standard deviations
 
 
@@ -126,7 +128,7 @@ class StructureFactor:
         >>> bool(broad.intensity.max() < S.intensity.max()), bool(np.isclose(broad.intensity.sum(), S.intensity.sum()))
         (True, True)
         """
-        kernel = resolution(self.energy, self.energy, fwhm)
+        kernel, _ = resolution(self.energy, self.energy, fwhm)
         kernel /= kernel.sum(axis=0)
         with np.errstate(invalid="ignore"):
             error = np.sqrt(self.error**2 @ (kernel**2).T)
@@ -211,21 +213,22 @@ def _read_energies(energies: Floats, given: Any) -> tuple[float, float]:
     return low, high
 
 
-def resolution(energies: Floats, centres: Floats, fwhm: Any) -> Floats:
-    """Return Gaussians of a full width at half maximum, a number or a function, (energies, centres)."""
+def resolution(energies: Floats, centres: Floats, fwhm: Any) -> tuple[Floats, Floats]:
+    """Return Gaussians with the maximum 1 (energies, centres), and their standard deviations."""
     if callable(fwhm):
-        widths = read_finite(fwhm(np.array(centres)), "the widths of fwhm")
-        if widths.shape not in ((), centres.shape):
-            raise ValueError(f"fwhm returns the shape {widths.shape}; it must return a width for each energy")
-        widths = np.broadcast_to(widths, centres.shape)
+        given = values_at(fwhm, centres, "fwhm")
     else:
-        widths = np.full(centres.shape, read_number(fwhm, "fwhm"))
-    wrong = np.flatnonzero(~(widths > 0.0))
+        given = np.full(centres.shape, read_number(fwhm, "fwhm"))
+    least = LEAST_WIDTH * float(max(np.abs(energies).max(), np.abs(centres).max()))
+    wrong = np.flatnonzero(~((given > 0.0) & (given >= least)))
     if wrong.size:
-        raise ValueError(f"fwhm is {widths[wrong[0]]:g} at the energy {centres[wrong[0]]:g}; widths are positive")
-    sigma = widths / FWHM
+        raise ValueError(
+            f"fwhm is {given[wrong[0]]:g} at the energy {centres[wrong[0]]:g}; widths are positive, of at least "
+            f"{least:.1g}"
+        )
+    sigma = given / FWHM
     with np.errstate(over="ignore", under="ignore"):
-        return np.asarray(np.exp(-0.5 * ((energies[:, None] - centres) / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
+        return np.asarray(np.exp(-0.5 * ((energies[:, None] - centres) / sigma) ** 2)), sigma
 
 
 @suggest_keywords

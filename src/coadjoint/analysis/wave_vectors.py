@@ -127,7 +127,7 @@ class Powder:
 
     def __post_init__(self) -> None:
         edges = read_finite(self.edges, "edges")
-        if edges.ndim != 1 or len(edges) < 2 or edges[0] < 0.0 or not np.all(np.diff(edges) > 0.0):
+        if edges.ndim != 1 or len(edges) < 2 or edges[0] < 0.0 or not np.all(edges[1:] > edges[:-1]):
             raise ValueError(f"edges is {short(self.edges)}; give two or more ascending lengths of q, none negative")
         set_fields(self, edges=as_tuples(edges))
 

@@ -282,6 +282,7 @@ def test_pictures():
 
 
 SPECTRUM = co.spectra.structure_factor(RUN, PATH)
+MODES = co.spectra.linear_modes(tetragonal(), UP, PATH, 3)
 RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0.02)
 
 
@@ -314,7 +315,10 @@ RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0
         (r"energies is .*, and S has those from -\d.* to 19\.\d", lambda: SPECTRUM.integrated(0, 30)),
         (r"give the lower one first", lambda: SPECTRUM.integrated(2, 1)),
         (r"fwhm is -0.3 at the energy", lambda: SPECTRUM.broadened(-0.3)),
-        (r"fwhm returns the shape \(2,\)", lambda: SPECTRUM.broadened(lambda energy: np.ones(2))),
+        (r"fwhm returns .*; it must return finite numbers of the shape",
+         lambda: SPECTRUM.broadened(lambda energy: np.ones(2))),
+        (r"q has the length 30, .* reach 25 per angstrom", lambda: co.spectra.Neutrons().form_factor("Mn2+", [1, 30])),
+        (r"energies is \[0, 1, 3\]; give .* equidistant", lambda: MODES.spectrum([0, 1, 3], 0.1)),
         (r"state is no equilibrium of .* moves at the rate 0.*; give co.equilibrium\(system, state\).x",
          lambda: co.spectra.linear_modes(tetragonal(), np.tile([0.0, 0, 1.0], 32), PATH)),
         (r"state has the spin 31 on an orbit of lower dimension",
