@@ -82,7 +82,7 @@ MEMBERS_OF = (
     ("A choice", co.Choice, ""),
     ("Frequencies", co.Frequencies, "combinations"),
     ("Thermal states", co.ThermalStates, ""),
-    ("A structure factor", co.spectra.StructureFactor, "broadened energy integrated plot"),
+    ("A structure factor", co.spectra.StructureFactor, "broadened energies integrated plot"),
     ("Linear modes", co.spectra.LinearModes, "energies plot spectrum stable"),
     ("What neutrons measure", co.spectra.Neutrons, "form_factor"),
     ("An autocorrelation", co.spectra.Autocorrelation, ""),

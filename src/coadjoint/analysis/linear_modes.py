@@ -20,7 +20,6 @@ from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_finite, read_integer
@@ -181,7 +180,6 @@ class SitesOfSpins(NamedTuple):
     bonds: Integers  # (bonds, 5), two sites of the cell and the offset
     spins: Floats  # (sites, 3, coordinates): components of the spins, of unit scattering length
     lattice: Lattice
-    hbar: float
 
 
 class QuadraticForm(NamedTuple):
@@ -288,13 +286,13 @@ def linear_modes(
     waves = spaced_waves(lattice, path, read_integer(points, "points", 1, MAX_POINTS))
     waves = measured_waves(neutrons, waves, lattice, system)
     bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(one.bonds for one in system._declared.couplings)])
-    count, hbar = len(system.sites), UNITS[system.units].hbar
+    count = len(system.sites)
     axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
-    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, lattice, hbar)
+    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, lattice)
     form = second_variation(system, places, momenta[0])
     images = waves.images
     if form.whole:
-        images = fitting(lattice, images, "path of a model with dipoles, whose modes are those of its own cells,")
+        images = fitting(lattice, images, "path of a model with dipoles or other couplings without a bond")
     lengths = np.linalg.norm(images @ lattice.reciprocal, axis=1)
     scattering = np.atleast_2d(scattering_lengths(neutrons, system, lengths))
     frequencies, growth, amplitudes, reference = modes_at(form, places, images, scattering)
@@ -305,7 +303,7 @@ def linear_modes(
     )
     if neutrons is not None and neutrons.temperature is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
-            bosons = -1.0 / np.expm1(-hbar * frequencies / (system.boltzmann * neutrons.temperature))
+            bosons = -1.0 / np.expm1(-lattice.hbar * frequencies / (system.boltzmann * neutrons.temperature))
             bosons = np.where(frequencies < 0.0, np.nan, np.abs(bosons))
             total, each = (np.where(part == 0.0, 0.0, part * bosons) for part in (total, each))
     k = len(waves.q)
@@ -320,7 +318,7 @@ def linear_modes(
         waves.corners,
         waves.shape,
         len(form.spins),
-        hbar,
+        lattice.hbar,
     )
 
 
@@ -372,7 +370,7 @@ def modes_at(
     inverse: Complex = np.linalg.inv(G)
     components = np.einsum("sad,sdr->asr", places.spins[form.spins], form.tangents).reshape(3, -1)
     undisturbed = 1.0 / np.linalg.norm(inverse, 2)
-    scale = np.sqrt(places.hbar * form.translations / len(places.sites))
+    scale = np.sqrt(places.lattice.hbar * form.translations / len(places.sites))
     shape = (len(images), spins * r // 2)
     frequencies, growth, reference = np.empty(shape), np.empty(shape), np.zeros(shape)
     amplitudes = np.empty((3, *shape), dtype=np.complex128)

@@ -26,8 +26,6 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.lattices.declared_spins import UNITS
-from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
@@ -94,7 +92,7 @@ class StructureFactor:
         )
 
     @property
-    def energy(self) -> Floats:
+    def energies(self) -> Floats:
         """Energies hbar omega, in the unit of the model, (m,)."""
         return self.hbar * self.omega
 
@@ -128,7 +126,7 @@ class StructureFactor:
         >>> bool(broad.intensity.max() < S.intensity.max()), bool(np.isclose(broad.intensity.sum(), S.intensity.sum()))
         (True, True)
         """
-        kernel, _ = resolution(self.energy, self.energy, fwhm)
+        kernel, _ = resolution(self.energies, self.energies, fwhm)
         kernel /= kernel.sum(axis=0)
         with np.errstate(invalid="ignore"):
             error = np.sqrt(self.error**2 @ (kernel**2).T)
@@ -163,7 +161,7 @@ class StructureFactor:
         >>> bool(S.integrated(0.5, 1.5)[0] > 0.9 * S.integrated(0.5, 4)[0])
         True
         """
-        first, last = _read_energies(self.energy, (low, high))
+        first, last = _read_energies(self.energies, (low, high))
         width = float(self.omega[1] - self.omega[0])
         edges = np.array([first, last]) / self.hbar
         inside = np.clip(self.omega + 0.5 * width, *edges) - np.clip(self.omega - 0.5 * width, *edges)
@@ -190,7 +188,7 @@ class StructureFactor:
         ValueError, TypeError
             Energies beyond those of S; modes of another path or of a powder.
         """
-        window = None if energies is None else _read_energies(self.energy, energies)
+        window = None if energies is None else _read_energies(self.energies, energies)
         figure: Figure = shortcut("draw_result")("structure factor", self, window, modes)
         return figure
 
@@ -337,10 +335,9 @@ def structure_factor(
         error *= student_factor(members - 1)
     order = np.argsort(np.fft.fftfreq(count), kind="stable")
     omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
-    hbar = UNITS[first.units].hbar if isinstance(first, SpinModel) else 1.0
     factor = np.ones(count)
     if neutrons is not None and neutrons.temperature is not None:
-        factor = quantum_factor(hbar * omega, first.boltzmann * neutrons.temperature)
+        factor = quantum_factor(lattice.hbar * omega, first.boltzmann * neutrons.temperature)
     mean = mean[:, :, order] * factor
     return StructureFactor(
         waves.q,
@@ -352,7 +349,7 @@ def structure_factor(
         waves.distance,
         waves.corners,
         waves.shape,
-        hbar,
+        lattice.hbar,
     )
 
 

@@ -100,8 +100,8 @@ def draw_structure_factor(spectrum: Any, energies: Any = None, modes: Any = None
         raise ValueError(f"modes are {modes!r}, of another path; compute them along that of {spectrum!r}")
     shown = spectrum.omega >= 0.0
     if energies is not None:
-        shown = (spectrum.energy >= energies[0]) & (spectrum.energy <= energies[1])
-    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energy[shown]
+        shown = (spectrum.energies >= energies[0]) & (spectrum.energies <= energies[1])
+    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energies[shown]
     if not len(heights):
         raise ValueError(f"energies is {energies}, between two of {spectrum!r}; give a wider range")
     # Elastic lines may be stronger by orders of magnitude than all others.
@@ -151,7 +151,7 @@ def _energy_label(result: Any) -> str:
 def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
     if modes is not None:
         raise ValueError(f"modes are given for {spectrum!r}, of a plane; they are drawn on paths")
-    low, high = (0.0, float(spectrum.energy[-1])) if energies is None else energies
+    low, high = (0.0, float(spectrum.energies[-1])) if energies is None else energies
     grid = spectrum.integrated(low, high).reshape(spectrum.shape).T
     first, second = (spectrum.q[spectrum.corners[corner]] - spectrum.q[0] for corner in (2, 1))
     top = float(grid.max()) or 1.0

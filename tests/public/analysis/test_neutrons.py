@@ -101,7 +101,7 @@ def test_spectra_by_hand(ions):
     np.testing.assert_allclose(S.intensity, expected, rtol=1e-5, atol=1e-6 * expected.max())
     components = by_hand(RUN, model, S.q, S.omega, factors, False)
     np.testing.assert_allclose(S.components.sum(axis=0), components, rtol=1e-5, atol=1e-6 * components.max())
-    assert np.allclose(S.energy, MEV["hbar"] * S.omega, rtol=1e-12)
+    assert np.allclose(S.energies, MEV["hbar"] * S.omega, rtol=1e-12)
 
 
 @pytest.mark.parametrize("neutrons", [None, co.spectra.Neutrons(), co.spectra.Neutrons({"Fe": "Fe2+", "Ni": "Ni2+"})])
@@ -112,7 +112,7 @@ def test_sum_rules(neutrons, where):
     S = co.spectra.structure_factor(RUN, where, "hann", neutrons)
     total = S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0])
     np.testing.assert_allclose(total, S.static, rtol=1e-12)
-    np.testing.assert_allclose(S.integrated(S.energy[0], S.energy[-1]), total, rtol=0.2)
+    np.testing.assert_allclose(S.integrated(S.energies[0], S.energies[-1]), total, rtol=0.2)
 
 
 def test_temperature_gives_detailed_balance():
@@ -231,8 +231,8 @@ def test_resolution_of_an_instrument():
     np.testing.assert_allclose(broad.components.sum(axis=0), broad.intensity, rtol=1e-12)
     assert np.array_equal(broad.static, plain.static) and np.isfinite(broad.error).all()
     inside = slice(len(plain.omega) // 2 - 4, len(plain.omega) // 2 + 5)
-    sigma = (0.3 + 0.05 * np.abs(plain.energy)) / np.sqrt(8 * np.log(2))
-    weights = np.exp(-0.5 * ((plain.energy[:, None] - plain.energy) / sigma) ** 2)
+    sigma = (0.3 + 0.05 * np.abs(plain.energies)) / np.sqrt(8 * np.log(2))
+    weights = np.exp(-0.5 * ((plain.energies[:, None] - plain.energies) / sigma) ** 2)
     expected = plain.intensity @ (weights / weights.sum(axis=0)).T
     np.testing.assert_allclose(broad.intensity[:, inside], expected[:, inside], rtol=1e-12)
     narrow = plain.broadened(1e-9)
@@ -241,9 +241,9 @@ def test_resolution_of_an_instrument():
 
 def test_integrals_over_energies_count_parts_of_frequencies():
     S = co.spectra.structure_factor(RUN, PATH)
-    width = S.energy[1] - S.energy[0]
+    width = S.energies[1] - S.energies[0]
     middle = len(S.omega) // 2
-    found = S.integrated(S.energy[middle] - 0.5 * width, S.energy[middle + 1] + 0.25 * width)
+    found = S.integrated(S.energies[middle] - 0.5 * width, S.energies[middle + 1] + 0.25 * width)
     expected = (S.intensity[:, middle] + 0.75 * S.intensity[:, middle + 1]) * width / S.hbar
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
@@ -271,7 +271,7 @@ def test_pictures():
     assert "(1, 0, 0)" in axes.get_xlabel() and "(0, 1, 0)" in axes.get_ylabel()
     limited = S.plot((2.0, 10.0)).axes[0]
     low, high = limited.get_ylim()
-    width = S.energy[1] - S.energy[0]
+    width = S.energies[1] - S.energies[0]
     assert 2.0 - width < low < 2.0 + width and 10.0 - width < high < 10.0 + width
     with pytest.raises(ValueError, match="of another path"):
         S.plot(modes=co.spectra.linear_modes(model, UP, corners[:2]))
