@@ -32,9 +32,9 @@ Integers = NDArray[np.int64]
 Complex = NDArray[Any]  # of complex numbers
 
 MAX_POINTS = 100_000
-RESIDUAL = 1e-7  # largest rate of change of an equilibrium, relative to its terms
+RESIDUAL = 1e-10  # largest rate of change of an equilibrium, relative to its terms
 ALIKE = 1e-6  # difference of the states of translated cells, relative to the largest coordinate
-SEMIDEFINITE = 1e-10  # negative eigenvalues of second variations down to this, relative to the largest, are zero
+SEMIDEFINITE = 1e-9  # negative eigenvalues of second variations down to this, relative to the largest, are zero
 SINGULAR = 1e-11  # the same of positive ones, which are raised to this: modes of frequency zero are resolved to 1e-5
 NO_FREQUENCY = 4.0  # frequencies below this are zero, in units of what raised eigenvalues give to a soft mode
 DIVERGENT = 1e4  # norm of a mode over that of an undisturbed one, above which its intensity is infinite

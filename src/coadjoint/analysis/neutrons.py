@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.wave_vectors import ORTHOGONAL, Lattice, WaveVectors, turned_waves
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import label_of
@@ -215,6 +216,7 @@ def scattering_lengths(neutrons: Neutrons | None, system: Any, lengths: Floats) 
             f'form_factors has ions, whose tables need lengths in angstroms, and the units of the model are "'
             f'{system.units}"; take units="meV", or give functions of q'
         )
+    check_available_memory(16 * len(lengths) * len(system.sites), "the form factors of all spins and wave vectors")
     pairs = zip(labels, declared.g.tolist(), strict=True)
     factors = np.array([neutrons.form_factor(ions[label], lengths, g) for label, g in pairs])
     return moments * factors.T[:, system.sites]

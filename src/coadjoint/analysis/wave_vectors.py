@@ -214,6 +214,9 @@ def commensurate_waves(lattice: Lattice, where: Any) -> WaveVectors:
 
 def spaced_waves(lattice: Lattice, where: Any, points: int) -> WaveVectors:
     """Return wave vectors of a path (`points` steps), a plane (of each edge) or shells (directions), of any values."""
+    if isinstance(where, Powder | Plane):
+        count = points**2 if isinstance(where, Plane) else points * len(where.edges)
+        check_available_memory(BYTES_PER_WAVE * count, f"{short(count)} wave vectors")
     if isinstance(where, Powder):
         edges = np.array(where.edges)
         middle = 0.5 * (edges[1:] + edges[:-1])

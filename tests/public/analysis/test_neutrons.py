@@ -63,7 +63,7 @@ def by_hand(sol, model, q, omega, factors, polarized=True):
         phases = factors * np.exp(-1j * cartesian @ model.positions.T)
         sums = np.einsum("tia,ki,tm->akm", spins, phases, np.exp(1j * np.outer(sol.t, omega)))
         result += np.einsum("kab,akm,bkm->km", tensor, sums, sums.conj()).real
-    step, count = sol.t[1] - sol.t[0], len(sol.t)
+    step, count = abs(sol.t[1] - sol.t[0]), len(sol.t)
     return result * step / (2 * np.pi * spins.shape[1] * count * sol.x.shape[1])
 
 
@@ -102,6 +102,22 @@ def test_spectra_by_hand(ions):
     components = by_hand(RUN, model, S.q, S.omega, factors, False)
     np.testing.assert_allclose(S.components.sum(axis=0), components, rtol=1e-5, atol=1e-6 * components.max())
     assert np.allclose(S.energies, MEV["hbar"] * S.omega, rtol=1e-12)
+
+
+def test_members_with_vacancies_and_other_ions_backward():
+    """Moments of substituted ions, sites without spins, and members of other couplings, from t = 3 to 1."""
+    models = [coupled().substitute("Fe", 0.3, seed=seed, spin=1.5, g=2.5).vacancies(0.25, seed=seed) for seed in (1, 2)]
+    x = np.random.default_rng(2).standard_normal((2, models[0].dim // 3, 3))
+    x /= np.linalg.norm(x, axis=2, keepdims=True)
+    sol = co.integrate(co.batch(models), x.reshape(2, -1), (3, 1), 0.05, save_every=2)
+    S = co.spectra.structure_factor(sol, PATH, None, co.spectra.Neutrons())
+    each = []
+    for member, model in enumerate(models):
+        alone = co.integrate(model, x[member : member + 1].reshape(1, -1), (3, 1), 0.05, save_every=2)
+        assert set(model.moments) == {2.5 * 1.5, 2.2 * 2, 2.0}
+        each.append(by_hand(alone, model, S.q, S.omega, np.tile(model.moments, (len(S.q), 1))))
+    # Of a backward run |sum over t| is that of the times in order.
+    np.testing.assert_allclose(S.intensity, np.mean(each, axis=0), rtol=1e-8, atol=1e-9 * np.max(each))
 
 
 @pytest.mark.parametrize("neutrons", [None, co.spectra.Neutrons(), co.spectra.Neutrons({"Fe": "Fe2+", "Ni": "Ni2+"})])
@@ -281,7 +297,7 @@ def test_pictures():
         co.spectra.linear_modes(model, UP, co.spectra.Plane((0, 0, 0), (1, 0, 0), (0, 1, 0)), 3).plot()
 
 
-SPECTRUM = co.spectra.structure_factor(RUN, PATH)
+SPECTRUM = co.spectra.structure_factor(RUN, PATH, None)
 MODES = co.spectra.linear_modes(tetragonal(), UP, PATH, 3)
 RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0.02)
 
