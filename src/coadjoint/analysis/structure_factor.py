@@ -310,21 +310,19 @@ def structure_factor(
     scale = abs(spacing) / (2.0 * np.pi * spins * squares)
     every = max(1, NUMBERS_AT_ONCE // count)
     parts = [slice(start, start + every) for start in range(0, len(images), every)]
-    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros(k)
+    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros((k, 1))
     for member, rows in enumerate(signal.values):
         system = solution.system.of_member(member).unforced
-        sums, equal = np.empty((4, len(images), count)), np.empty(len(images))
+        power = np.zeros((4, k, count))
         for part in parts:
-            q = images[part]
-            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, q, neutrons)
-            cartesian = q @ lattice.reciprocal
-            equal[part] = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1)
+            cartesian = images[part] @ lattice.reciprocal
+            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, images[part], neutrons)
+            equal = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1, keepdims=True)
+            waves.add_means(static, part, equal / (spins * squares * members))
             # ifft has the sign of exp(+i omega t), and divides by the number of times.
             spectrum = count * np.fft.ifft(amplitudes * weight, axis=2)
-            sums[:3, part] = np.abs(spectrum) ** 2
-            sums[3, part] = intensity(neutrons, spectrum, cartesian)
-        static += waves.averaged(equal, 0) / (spins * squares * members)
-        power = scale * waves.averaged(sums, 1)
+            each = np.concatenate([np.abs(spectrum) ** 2, intensity(neutrons, spectrum, cartesian)[None]])
+            waves.add_means(power, part, scale * each)
         # Welford's update.
         before = mean[3].copy()
         mean += (power - mean) / (member + 1)
@@ -345,7 +343,7 @@ def structure_factor(
         mean[3],
         error[:, order] * factor,
         mean[:3],
-        static,
+        static[:, 0],
         waves.distance,
         waves.corners,
         waves.shape,

@@ -49,12 +49,12 @@ class WaveVectors(NamedTuple):
     images: Floats  # (images, axes)
     owner: Integers  # index of the wave vector of each image, ascending
 
-    def averaged(self, values: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Return the means over the images of each wave vector."""
-        counts = np.bincount(self.owner, minlength=len(self.q))
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        sums = np.add.reduceat(values, starts, axis=axis)
-        return np.asarray(sums / counts.reshape(-1, *(1,) * (sums.ndim - 1 - axis % sums.ndim)))
+    def add_means(self, totals: Floats, part: slice, values: Floats) -> None:
+        """Add the share of some images (..., part, m) in the means of their wave vectors, to totals (..., k, m)."""
+        owner = self.owner[part]
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        counts = np.bincount(self.owner, minlength=len(self.q))[owner[starts]]
+        totals[..., owner[starts], :] += np.add.reduceat(values, starts, axis=-2) / counts[:, None]
 
 
 @suggest_keywords
