@@ -179,6 +179,7 @@ class SitesOfSpins(NamedTuple):
     periodic: tuple[bool, ...]
     bonds: Integers  # (bonds, 5), two sites of the cell and the offset
     spins: Floats  # (sites, 3, coordinates): components of the spins, of unit scattering length
+    kinds: Floats  # (sites, k), numbers in which sites of equal ions agree
     lattice: Lattice
 
 
@@ -288,7 +289,8 @@ def linear_modes(
     bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(one.bonds for one in system._declared.couplings)])
     count = len(system.sites)
     axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
-    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, lattice)
+    kinds = np.stack([system.spin, system.moments], axis=1)
+    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, kinds, lattice)
     form = second_variation(system, places, momenta[0])
     images = waves.images
     if form.whole:
@@ -333,7 +335,7 @@ def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticF
     gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
     P, D = _blocks_of_sites(system, x, gradient, count)
     _check_equilibrium(system, P, gradient, np.abs(gradient) + np.abs(hessian) @ np.abs(x))
-    numbers, spins, translations = _magnetic_cell(places, x.reshape(count, d), P, gradient, hessian)
+    numbers, spins, translations = _magnetic_cell(places, x, P, gradient)
     left, sizes, _ = np.linalg.svd(P[spins])
     ranks = np.sum(sizes > RANK_TOLERANCE * sizes.max(), axis=1)
     if np.ptp(ranks) or not ranks[0]:
@@ -457,39 +459,21 @@ def _check_equilibrium(system: Any, P: Floats, gradient: Floats, terms: Floats) 
         )
 
 
-def _magnetic_cell(
-    places: SitesOfSpins, x: Floats, P: Floats, gradient: Floats, hessian: Floats
-) -> tuple[Integers, Integers, int]:
+def _magnetic_cell(places: SitesOfSpins, x: Floats, P: Floats, gradient: Floats) -> tuple[Integers, Integers, int]:
     """Return the number of each spin in the magnetic cell, the spins of this cell, and how often it repeats."""
-    count, d = x.shape
+    # Bonds repeat with the cells of the crystal; states, fields, vacancies and substituted ions may not.
+    count = len(places.sites)
     numbers = np.full((*places.size, int(places.sites.max()) + 1), -1)
     numbers[(*places.cells.T, places.sites)] = np.arange(count)
-    probe = np.random.default_rng(0).standard_normal((count, d))
-
-    def moved_hessian(vectors: Floats) -> Floats:
-        return np.asarray((hessian @ vectors.ravel()).reshape(count, d))
-
-    compared = [
-        x,
-        P.reshape(count, -1),
-        gradient.reshape(count, d),
-        moved_hessian(probe),
-        places.spins.reshape(count, -1),
-    ]
-    slack = [ALIKE * float(np.abs(part).max(initial=0.0)) for part in compared]
+    compared = [part.reshape(count, -1) for part in (x, P, gradient, places.kinds)]
+    slack = [ALIKE * float(np.abs(part).max()) for part in compared]
 
     def moved(step: Any) -> Integers:
         return np.asarray(numbers[(*((places.cells + step) % places.size).T, places.sites)])
 
     def repeats(image: Integers) -> bool:
-        if np.any(image < 0) or any(
-            np.abs(part[image] - part).max() > most for part, most in zip(compared[:3], slack[:3], strict=True)
-        ):
-            return False
-        turned = moved_hessian(probe[image])
-        return bool(
-            np.abs(turned - compared[3][image]).max() <= slack[3]
-            and np.abs(compared[4][image] - compared[4]).max() <= slack[4]
+        return not np.any(image < 0) and all(
+            np.abs(part[image] - part).max() <= most for part, most in zip(compared, slack, strict=True)
         )
 
     group = {(0, 0, 0)}

@@ -191,6 +191,19 @@ def test_dense_frequencies_of_models_without_symmetry():
     np.testing.assert_allclose(across.frequencies, across.frequencies[[0, 0, 0]], rtol=1e-9)
 
 
+def test_ions_of_other_moments_and_fields_of_sites_make_the_cell_larger():
+    model, bond = chain(6, spin=1.0)
+    model = model.exchange(bond, -1.0)
+    assert co.spectra.linear_modes(model, tiled(model), [(0, 0, 0)]).spins_in_cell == 1
+    ions = model.substitute("Cu", 1 / 6, seed=1, spin=1.0, g=3.0)  # with the same motion, and another moment
+    modes = co.spectra.linear_modes(ions, tiled(ions), [(0, 0, 0)], neutrons=co.spectra.Neutrons())
+    assert modes.spins_in_cell == 6 and np.allclose(modes.frequencies, np.sort(2 - 2 * COS(np.arange(6) / 6)))
+    # The zone centre has the mean moment in the uniform mode, and the difference in all.
+    assert np.isclose(modes.intensity[:, 1:].sum(), 2 / 3 * ((5 * 4 + 9) / 6 - (13 / 6) ** 2))
+    fields = np.where(np.arange(6) % 2, 0.3, 0.5)[:, None] * UP
+    assert co.spectra.linear_modes(model.field(fields), tiled(model), [(0, 0, 0)]).spins_in_cell == 2
+
+
 def canted(dipolar=False):
     crystal = co.spins.crystal(
         lattice=(3, 4, 5, 85, 100, 93), sites={"Mn": [(0, 0, 0), (0.4, 0.45, 0.5)]}, space_group="P 1"

@@ -284,6 +284,17 @@ def test_pictures():
     axes = plane.plot((0.5, 3.0)).axes[0]
     assert axes.collections[0].get_array().shape == (5, 5)
     assert np.allclose(axes.collections[0].get_array().max(), plane.integrated(0.5, 3.0).max())
+    assert np.isclose(axes.get_aspect(), 1.0)
+    oblique = co.spectra.structure_factor(RUN, co.spectra.Plane((0, 0, 0), (1, 0, 0), (0, 1 / 3, 1)), None)
+    drawn = oblique.plot().axes[0]
+    marks = drawn.collections[0].get_coordinates()[[0, 0, -1], [0, -1, 0]] * (1.0, drawn.get_aspect())
+    edges = 2 * np.pi * np.linalg.solve(OBLIQUE.lattice, np.array([(1, 0, 0), (0, 1 / 3, 1)]).T).T
+    angle = edges[0] @ edges[1] / np.linalg.norm(edges[0]) / np.linalg.norm(edges[1])
+    first, second = marks[1:] - marks[0]
+    assert np.isclose(first @ second / np.linalg.norm(first) / np.linalg.norm(second), angle)
+    # Three cells along the first edge, of two steps, and two along the second.
+    ratio = np.linalg.norm(2 * edges[1]) / np.linalg.norm(3 / 2 * edges[0])
+    assert np.isclose(np.linalg.norm(second) / np.linalg.norm(first), ratio)
     assert "(1, 0, 0)" in axes.get_xlabel() and "(0, 1, 0)" in axes.get_ylabel()
     limited = S.plot((2.0, 10.0)).axes[0]
     low, high = limited.get_ylim()
