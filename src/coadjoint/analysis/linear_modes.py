@@ -20,7 +20,6 @@ from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_finite, read_integer
@@ -33,13 +32,14 @@ Integers = NDArray[np.int64]
 Complex = NDArray[Any]  # of complex numbers
 
 MAX_POINTS = 100_000
-RESIDUAL = 1e-7  # largest rate of change of an equilibrium, relative to its terms
+RESIDUAL = 1e-10  # largest rate of change of an equilibrium, relative to its terms
 ALIKE = 1e-6  # difference of the states of translated cells, relative to the largest coordinate
-SEMIDEFINITE = 1e-10  # negative eigenvalues of second variations down to this, relative to the largest, are zero
+SEMIDEFINITE = 1e-9  # negative eigenvalues of second variations down to this, relative to the largest, are zero
 SINGULAR = 1e-11  # the same of positive ones, which are raised to this: modes of frequency zero are resolved to 1e-5
 NO_FREQUENCY = 4.0  # frequencies below this are zero, in units of what raised eigenvalues give to a soft mode
 DIVERGENT = 1e4  # norm of a mode over that of an undisturbed one, above which its intensity is infinite
 INVISIBLE = 1e-9  # part of the amplitude of such a mode that neutrons do not see
+UNEVEN = 1e-6  # difference of the distances of energies, relative to them
 DEGENERATE = 1e-9  # difference of frequencies, relative to the largest
 
 
@@ -135,15 +135,19 @@ class LinearModes:
         True
         """
         grid = read_finite(energies, "energies")
-        steps = np.diff(grid)
-        if grid.ndim != 1 or len(grid) < 2 or not np.all(np.abs(steps - steps.mean()) < 1e-6 * steps.mean()):
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.diff(np.atleast_1d(grid))
+            even = grid.ndim == 1 < len(grid) and np.all(np.abs(steps - steps[0]) <= UNEVEN * steps[0])
+        if not (even and steps[0] > 0.0):
             raise ValueError(f"energies is {short(energies)}; give two or more ascending, equidistant energies")
         finite = np.isfinite(self.intensity)
         weights = np.where(finite, self.intensity, 0.0)
         each = np.where(finite, self.components, 0.0)
         spectrum, components = np.empty((len(self.q), len(grid))), np.empty((3, len(self.q), len(grid)))
         for k, centres in enumerate(self.energies):
-            kernel = self.hbar * resolution(grid, centres, fwhm)
+            gaussians, sigma = resolution(grid, centres, fwhm)
+            with np.errstate(over="ignore", under="ignore"):
+                kernel = gaussians * (self.hbar / (np.sqrt(2.0 * np.pi) * sigma))
             spectrum[k], components[:, k] = kernel @ weights[k], each[:, k] @ kernel.T
         unknown, static = np.full_like(spectrum, np.nan), weights.sum(axis=1)
         places = self.distance, self.corners, self.shape
@@ -175,8 +179,8 @@ class SitesOfSpins(NamedTuple):
     periodic: tuple[bool, ...]
     bonds: Integers  # (bonds, 5), two sites of the cell and the offset
     spins: Floats  # (sites, 3, coordinates): components of the spins, of unit scattering length
+    kinds: Floats  # (sites, k), numbers in which sites of equal ions agree
     lattice: Lattice
-    hbar: float
 
 
 class QuadraticForm(NamedTuple):
@@ -283,13 +287,14 @@ def linear_modes(
     waves = spaced_waves(lattice, path, read_integer(points, "points", 1, MAX_POINTS))
     waves = measured_waves(neutrons, waves, lattice, system)
     bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(one.bonds for one in system._declared.couplings)])
-    count, hbar = len(system.sites), UNITS[system.units].hbar
+    count = len(system.sites)
     axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
-    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, lattice, hbar)
+    kinds = np.stack([system.spin, system.moments], axis=1)
+    places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, kinds, lattice)
     form = second_variation(system, places, momenta[0])
     images = waves.images
     if form.whole:
-        images = fitting(lattice, images, "path of a model with dipoles, whose modes are those of its own cells,")
+        images = fitting(lattice, images, "path of a model with dipoles or other couplings without a bond")
     lengths = np.linalg.norm(images @ lattice.reciprocal, axis=1)
     scattering = np.atleast_2d(scattering_lengths(neutrons, system, lengths))
     frequencies, growth, amplitudes, reference = modes_at(form, places, images, scattering)
@@ -300,7 +305,7 @@ def linear_modes(
     )
     if neutrons is not None and neutrons.temperature is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
-            bosons = -1.0 / np.expm1(-hbar * frequencies / (system.boltzmann * neutrons.temperature))
+            bosons = -1.0 / np.expm1(-lattice.hbar * frequencies / (system.boltzmann * neutrons.temperature))
             bosons = np.where(frequencies < 0.0, np.nan, np.abs(bosons))
             total, each = (np.where(part == 0.0, 0.0, part * bosons) for part in (total, each))
     k = len(waves.q)
@@ -315,7 +320,7 @@ def linear_modes(
         waves.corners,
         waves.shape,
         len(form.spins),
-        hbar,
+        lattice.hbar,
     )
 
 
@@ -330,7 +335,7 @@ def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticF
     gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
     P, D = _blocks_of_sites(system, x, gradient, count)
     _check_equilibrium(system, P, gradient, np.abs(gradient) + np.abs(hessian) @ np.abs(x))
-    numbers, spins, translations = _magnetic_cell(places, x.reshape(count, d), P, gradient, hessian)
+    numbers, spins, translations = _magnetic_cell(places, x, P, gradient)
     left, sizes, _ = np.linalg.svd(P[spins])
     ranks = np.sum(sizes > RANK_TOLERANCE * sizes.max(), axis=1)
     if np.ptp(ranks) or not ranks[0]:
@@ -367,7 +372,7 @@ def modes_at(
     inverse: Complex = np.linalg.inv(G)
     components = np.einsum("sad,sdr->asr", places.spins[form.spins], form.tangents).reshape(3, -1)
     undisturbed = 1.0 / np.linalg.norm(inverse, 2)
-    scale = np.sqrt(places.hbar * form.translations / len(places.sites))
+    scale = np.sqrt(places.lattice.hbar * form.translations / len(places.sites))
     shape = (len(images), spins * r // 2)
     frequencies, growth, reference = np.empty(shape), np.empty(shape), np.zeros(shape)
     amplitudes = np.empty((3, *shape), dtype=np.complex128)
@@ -454,39 +459,21 @@ def _check_equilibrium(system: Any, P: Floats, gradient: Floats, terms: Floats) 
         )
 
 
-def _magnetic_cell(
-    places: SitesOfSpins, x: Floats, P: Floats, gradient: Floats, hessian: Floats
-) -> tuple[Integers, Integers, int]:
+def _magnetic_cell(places: SitesOfSpins, x: Floats, P: Floats, gradient: Floats) -> tuple[Integers, Integers, int]:
     """Return the number of each spin in the magnetic cell, the spins of this cell, and how often it repeats."""
-    count, d = x.shape
+    # Bonds repeat with the cells of the crystal; states, fields, vacancies and substituted ions may not.
+    count = len(places.sites)
     numbers = np.full((*places.size, int(places.sites.max()) + 1), -1)
     numbers[(*places.cells.T, places.sites)] = np.arange(count)
-    probe = np.random.default_rng(0).standard_normal((count, d))
-
-    def moved_hessian(vectors: Floats) -> Floats:
-        return np.asarray((hessian @ vectors.ravel()).reshape(count, d))
-
-    compared = [
-        x,
-        P.reshape(count, -1),
-        gradient.reshape(count, d),
-        moved_hessian(probe),
-        places.spins.reshape(count, -1),
-    ]
-    slack = [ALIKE * float(np.abs(part).max(initial=0.0)) for part in compared]
+    compared = [part.reshape(count, -1) for part in (x, P, gradient, places.kinds)]
+    slack = [ALIKE * float(np.abs(part).max()) for part in compared]
 
     def moved(step: Any) -> Integers:
         return np.asarray(numbers[(*((places.cells + step) % places.size).T, places.sites)])
 
     def repeats(image: Integers) -> bool:
-        if np.any(image < 0) or any(
-            np.abs(part[image] - part).max() > most for part, most in zip(compared[:3], slack[:3], strict=True)
-        ):
-            return False
-        turned = moved_hessian(probe[image])
-        return bool(
-            np.abs(turned - compared[3][image]).max() <= slack[3]
-            and np.abs(compared[4][image] - compared[4]).max() <= slack[4]
+        return not np.any(image < 0) and all(
+            np.abs(part[image] - part).max() <= most for part, most in zip(compared, slack, strict=True)
         )
 
     group = {(0, 0, 0)}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.wave_vectors import ORTHOGONAL, Lattice, WaveVectors, turned_waves
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.crystals import label_of
@@ -23,6 +24,7 @@ from coadjoint.validation import as_tuples, read_finite, read_number, read_posit
 Floats = NDArray[np.float64]
 
 SYMMETRY = "symmetry"
+MAX_LENGTH = 25.0  # of q, 1/angstrom: the sums of Gaussians are fits, some of which grow beyond
 F_ELEMENTS = (range(57, 72), range(89, 104))  # atomic numbers of lanthanides and actinides
 
 
@@ -96,7 +98,7 @@ class Neutrons:
         if self.domains is None or (isinstance(self.domains, str) and self.domains == SYMMETRY):
             return
         if isinstance(self.domains, str):
-            raise ValueError(f"domains is {self.domains!r}; give {SYMMETRY!r}, or matrices (domains, 3, 3)")
+            raise ValueError(f"domains is {short(self.domains)}; give {SYMMETRY!r}, or matrices (domains, 3, 3)")
         matrices = read_finite(self.domains, "domains")
         if matrices.ndim != 3 or matrices.shape[1:] != (3, 3) or not len(matrices):
             raise ValueError(f"domains has shape {matrices.shape}; give matrices (domains, 3, 3)")
@@ -140,13 +142,12 @@ class Neutrons:
         """
         lengths = read_finite(q, "q")
         if callable(ion):
-            found = np.asarray(ion(lengths))
-            if found.shape != lengths.shape or found.dtype.kind not in "iuf" or not np.isfinite(found).all():
-                raise ValueError(
-                    f"the form factor {short(ion)} returns {short(found)}; it must return finite numbers of the shape "
-                    f"of q, {lengths.shape}"
-                )
-            return found.astype(np.float64)
+            return values_at(ion, lengths, "the form factor")
+        if np.any(np.abs(lengths) > MAX_LENGTH):
+            raise ValueError(
+                f"q has the length {np.abs(lengths).max():.6g}, and tables of form factors reach {MAX_LENGTH:g} per "
+                "angstrom; take shorter wave vectors, or give a function of q"
+            )
         coefficients, is_f, c2 = _table(ion, "ion")
         factor = abs(read_number(g, "g"))
         if factor == 0.0:
@@ -166,6 +167,17 @@ def measured_waves(neutrons: Neutrons | None, waves: WaveVectors, lattice: Latti
     else:
         rotations = np.array(neutrons.domains)
     return turned_waves(waves, lattice, rotations)
+
+
+def values_at(function: Any, points: Floats, what: str) -> Floats:
+    """Return a function of the user at an array of points; an error if it fails, or returns anything else."""
+    try:
+        found = np.asarray(function(np.array(points)))
+    except Exception as reason:
+        raise TypeError(f"{what} fails ({type(reason).__name__}: {short(str(reason))}); give a function") from None
+    if found.shape not in ((), points.shape) or found.dtype.kind not in "iuf" or not np.isfinite(found).all():
+        raise ValueError(f"{what} returns {short(found)}; it must return finite numbers of the shape {points.shape}")
+    return np.broadcast_to(found, points.shape).astype(np.float64)
 
 
 def spins_of_states(model: SpinModel) -> Floats:
@@ -204,6 +216,7 @@ def scattering_lengths(neutrons: Neutrons | None, system: Any, lengths: Floats) 
             f'form_factors has ions, whose tables need lengths in angstroms, and the units of the model are "'
             f'{system.units}"; take units="meV", or give functions of q'
         )
+    check_available_memory(16 * len(lengths) * len(system.sites), "the form factors of all spins and wave vectors")
     pairs = zip(labels, declared.g.tolist(), strict=True)
     factors = np.array([neutrons.form_factor(ions[label], lengths, g) for label, g in pairs])
     return moments * factors.T[:, system.sites]

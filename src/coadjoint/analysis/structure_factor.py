@@ -16,6 +16,7 @@ from coadjoint.analysis.neutrons import (
     measured_waves,
     quantum_factor,
     scattering_lengths,
+    values_at,
 )
 from coadjoint.analysis.signals import sampled
 from coadjoint.analysis.standard_errors import student_factor
@@ -26,9 +27,7 @@ from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
-from coadjoint.systems.lattices.declared_spins import UNITS
-from coadjoint.systems.lattices.spin_model import SpinModel
-from coadjoint.validation import read_finite, read_list, read_number
+from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,6 +36,7 @@ Floats = NDArray[np.float64]
 
 MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
+LEAST_WIDTH = 1e-12  # of a resolution, relative to the largest energy
 FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # full width at half maximum of a Gaussian, in standard deviations
 
 
@@ -93,7 +93,7 @@ class StructureFactor:
         )
 
     @property
-    def energy(self) -> Floats:
+    def energies(self) -> Floats:
         """Energies hbar omega, in the unit of the model, (m,)."""
         return self.hbar * self.omega
 
@@ -127,7 +127,7 @@ class StructureFactor:
         >>> bool(broad.intensity.max() < S.intensity.max()), bool(np.isclose(broad.intensity.sum(), S.intensity.sum()))
         (True, True)
         """
-        kernel = resolution(self.energy, self.energy, fwhm)
+        kernel, _ = resolution(self.energies, self.energies, fwhm)
         kernel /= kernel.sum(axis=0)
         with np.errstate(invalid="ignore"):
             error = np.sqrt(self.error**2 @ (kernel**2).T)
@@ -162,7 +162,7 @@ class StructureFactor:
         >>> bool(S.integrated(0.5, 1.5)[0] > 0.9 * S.integrated(0.5, 4)[0])
         True
         """
-        first, last = _read_energies(self.energy, (low, high))
+        first, last = _read_energies(self.energies, (low, high))
         width = float(self.omega[1] - self.omega[0])
         edges = np.array([first, last]) / self.hbar
         inside = np.clip(self.omega + 0.5 * width, *edges) - np.clip(self.omega - 0.5 * width, *edges)
@@ -189,7 +189,7 @@ class StructureFactor:
         ValueError, TypeError
             Energies beyond those of S; modes of another path or of a powder.
         """
-        window = None if energies is None else _read_energies(self.energy, energies)
+        window = None if energies is None else _read_energies(self.energies, energies)
         figure: Figure = shortcut("draw_result")("structure factor", self, window, modes)
         return figure
 
@@ -212,21 +212,22 @@ def _read_energies(energies: Floats, given: Any) -> tuple[float, float]:
     return low, high
 
 
-def resolution(energies: Floats, centres: Floats, fwhm: Any) -> Floats:
-    """Return Gaussians of a full width at half maximum, a number or a function, (energies, centres)."""
+def resolution(energies: Floats, centres: Floats, fwhm: Any) -> tuple[Floats, Floats]:
+    """Return Gaussians with the maximum 1 (energies, centres), and their standard deviations."""
     if callable(fwhm):
-        widths = read_finite(fwhm(np.array(centres)), "the widths of fwhm")
-        if widths.shape not in ((), centres.shape):
-            raise ValueError(f"fwhm returns the shape {widths.shape}; it must return a width for each energy")
-        widths = np.broadcast_to(widths, centres.shape)
+        given = values_at(fwhm, centres, "fwhm")
     else:
-        widths = np.full(centres.shape, read_number(fwhm, "fwhm"))
-    wrong = np.flatnonzero(~(widths > 0.0))
+        given = np.full(centres.shape, read_number(fwhm, "fwhm"))
+    least = LEAST_WIDTH * float(max(np.abs(energies).max(), np.abs(centres).max()))
+    wrong = np.flatnonzero(~((given > 0.0) & (given >= least)))
     if wrong.size:
-        raise ValueError(f"fwhm is {widths[wrong[0]]:g} at the energy {centres[wrong[0]]:g}; widths are positive")
-    sigma = widths / FWHM
+        raise ValueError(
+            f"fwhm is {given[wrong[0]]:g} at the energy {centres[wrong[0]]:g}; widths are positive, of at least "
+            f"{least:.1g}"
+        )
+    sigma = given / FWHM
     with np.errstate(over="ignore", under="ignore"):
-        return np.asarray(np.exp(-0.5 * ((energies[:, None] - centres) / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
+        return np.asarray(np.exp(-0.5 * ((energies[:, None] - centres) / sigma) ** 2)), sigma
 
 
 @suggest_keywords
@@ -310,21 +311,19 @@ def structure_factor(
     scale = abs(spacing) / (2.0 * np.pi * spins * squares)
     every = max(1, NUMBERS_AT_ONCE // count)
     parts = [slice(start, start + every) for start in range(0, len(images), every)]
-    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros(k)
+    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros((k, 1))
     for member, rows in enumerate(signal.values):
         system = solution.system.of_member(member).unforced
-        sums, equal = np.empty((4, len(images), count)), np.empty(len(images))
+        power = np.zeros((4, k, count))
         for part in parts:
-            q = images[part]
-            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, q, neutrons)
-            cartesian = q @ lattice.reciprocal
-            equal[part] = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1)
+            cartesian = images[part] @ lattice.reciprocal
+            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, images[part], neutrons)
+            equal = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1, keepdims=True)
+            waves.add_means(static, part, equal / (spins * squares * members))
             # ifft has the sign of exp(+i omega t), and divides by the number of times.
             spectrum = count * np.fft.ifft(amplitudes * weight, axis=2)
-            sums[:3, part] = np.abs(spectrum) ** 2
-            sums[3, part] = intensity(neutrons, spectrum, cartesian)
-        static += waves.averaged(equal, 0) / (spins * squares * members)
-        power = scale * waves.averaged(sums, 1)
+            each = np.concatenate([np.abs(spectrum) ** 2, intensity(neutrons, spectrum, cartesian)[None]])
+            waves.add_means(power, part, scale * each)
         # Welford's update.
         before = mean[3].copy()
         mean += (power - mean) / (member + 1)
@@ -335,10 +334,9 @@ def structure_factor(
         error *= student_factor(members - 1)
     order = np.argsort(np.fft.fftfreq(count), kind="stable")
     omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
-    hbar = UNITS[first.units].hbar if isinstance(first, SpinModel) else 1.0
     factor = np.ones(count)
     if neutrons is not None and neutrons.temperature is not None:
-        factor = quantum_factor(hbar * omega, first.boltzmann * neutrons.temperature)
+        factor = quantum_factor(lattice.hbar * omega, first.boltzmann * neutrons.temperature)
     mean = mean[:, :, order] * factor
     return StructureFactor(
         waves.q,
@@ -346,11 +344,11 @@ def structure_factor(
         mean[3],
         error[:, order] * factor,
         mean[:3],
-        static,
+        static[:, 0],
         waves.distance,
         waves.corners,
         waves.shape,
-        hbar,
+        lattice.hbar,
     )
 
 

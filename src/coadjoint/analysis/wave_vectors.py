@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.declared_spins import cells_text
+from coadjoint.systems.lattices.declared_spins import UNITS, cells_text
 from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, has_cell, reciprocal_edges, sizes_of
 from coadjoint.systems.lattices.space_groups import inverse
 from coadjoint.systems.lattices.spin_model import SpinModel
@@ -29,13 +29,14 @@ ORTHOGONAL = 1e-9  # defect of the rotation of a domain
 
 
 class Lattice(NamedTuple):
-    """Text for errors, cells along the axes, sites of a cell and reciprocal edges, and the usual path, if any."""
+    """Text for errors, cells along the axes, sites of a cell, reciprocal edges, usual path, and hbar of the units."""
 
     text: str
     sizes: tuple[int, ...]
     sites: Floats  # in units of the edges
     reciprocal: Floats
-    path: Any
+    path: Any = None
+    hbar: float = 1.0
 
 
 class WaveVectors(NamedTuple):
@@ -48,12 +49,12 @@ class WaveVectors(NamedTuple):
     images: Floats  # (images, axes)
     owner: Integers  # index of the wave vector of each image, ascending
 
-    def averaged(self, values: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Return the means over the images of each wave vector."""
-        counts = np.bincount(self.owner, minlength=len(self.q))
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        sums = np.add.reduceat(values, starts, axis=axis)
-        return np.asarray(sums / counts.reshape(-1, *(1,) * (sums.ndim - 1 - axis % sums.ndim)))
+    def add_means(self, totals: Floats, part: slice, values: Floats) -> None:
+        """Add the share of some images (..., part, m) in the means of their wave vectors, to totals (..., k, m)."""
+        owner = self.owner[part]
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        counts = np.bincount(self.owner, minlength=len(self.q))[owner[starts]]
+        totals[..., owner[starts], :] += np.add.reduceat(values, starts, axis=-2) / counts[:, None]
 
 
 @suggest_keywords
@@ -127,7 +128,7 @@ class Powder:
 
     def __post_init__(self) -> None:
         edges = read_finite(self.edges, "edges")
-        if edges.ndim != 1 or len(edges) < 2 or edges[0] < 0.0 or not np.all(np.diff(edges) > 0.0):
+        if edges.ndim != 1 or len(edges) < 2 or edges[0] < 0.0 or not np.all(edges[1:] > edges[:-1]):
             raise ValueError(f"edges is {short(self.edges)}; give two or more ascending lengths of q, none negative")
         set_fields(self, edges=as_tuples(edges))
 
@@ -142,8 +143,12 @@ def lattice_by_name(name: str, shape: Any) -> Lattice:
 def lattice_of(system: Any) -> Lattice:
     """Return the lattice of a model on a crystal or of a lattice by name; ValueError if it has none in space."""
     if isinstance(system, SpinModel):
-        crystal, text = system.crystal, f"{system.crystal!r}, {cells_text(system.size)} cells"
-        return Lattice(text, system.size, crystal.positions, 2.0 * np.pi * inverse(crystal.lattice).T, None)
+        if any(getattr(system, "twist", ())):
+            raise ValueError(f"{short(system)} has twisted boundaries; spectra need a lattice without a twist")
+        crystal, units = system.crystal, UNITS[system.units]
+        edges = 2.0 * np.pi * inverse(crystal.lattice).T
+        text = f"{crystal!r}, {cells_text(system.size)} cells"
+        return Lattice(text, system.size, crystal.positions, edges, hbar=units.hbar)
     name = system.layout.get("lattice")
     if not has_cell(name):
         raise ValueError(
@@ -165,6 +170,8 @@ def common_lattice(system: Any) -> Lattice:
     """Return the lattice that the members of a system have in common; ValueError if there is none."""
     first, *others = (lattice_of(member.unforced) for member in system.distinct)
     for other in others:
+        if other.hbar != first.hbar:
+            raise ValueError("the members have different units; integrate those of equal ones")
         if other.sizes != first.sizes or not all(map(np.array_equal, first[2:4], other[2:4])):
             raise ValueError(
                 f"the members have different lattices ({first.text}, and {other.text}); integrate those of one lattice"
@@ -207,6 +214,9 @@ def commensurate_waves(lattice: Lattice, where: Any) -> WaveVectors:
 
 def spaced_waves(lattice: Lattice, where: Any, points: int) -> WaveVectors:
     """Return wave vectors of a path (`points` steps), a plane (of each edge) or shells (directions), of any values."""
+    if isinstance(where, Powder | Plane):
+        count = points**2 if isinstance(where, Plane) else points * len(where.edges)
+        check_available_memory(BYTES_PER_WAVE * count, f"{short(count)} wave vectors")
     if isinstance(where, Powder):
         edges = np.array(where.edges)
         middle = 0.5 * (edges[1:] + edges[:-1])

@@ -100,8 +100,8 @@ def draw_structure_factor(spectrum: Any, energies: Any = None, modes: Any = None
         raise ValueError(f"modes are {modes!r}, of another path; compute them along that of {spectrum!r}")
     shown = spectrum.omega >= 0.0
     if energies is not None:
-        shown = (spectrum.energy >= energies[0]) & (spectrum.energy <= energies[1])
-    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energy[shown]
+        shown = (spectrum.energies >= energies[0]) & (spectrum.energies <= energies[1])
+    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energies[shown]
     if not len(heights):
         raise ValueError(f"energies is {energies}, between two of {spectrum!r}; give a wider range")
     # Elastic lines may be stronger by orders of magnitude than all others.
@@ -129,13 +129,14 @@ def draw_linear_modes(modes: Any) -> Figure:
     axes = figure.add_subplot()
     axes.plot(modes.distance, modes.energies, color=ink(), linewidth=0.6)
     finite = np.where(np.isfinite(modes.intensity), modes.intensity, 0.0)
-    area = LARGEST_DOT * np.minimum(1.0, finite / (BRIGHTEST * float(np.median(finite.max(axis=1))) or 1.0))
+    top = min(float(finite.max()), BRIGHTEST * float(np.median(finite.max(axis=1)))) or 1.0
+    area = LARGEST_DOT * np.minimum(1.0, finite / top)
     distance = np.broadcast_to(modes.distance[:, None], finite.shape)
     axes.scatter(distance, modes.energies, s=area, color=colour(0), alpha=0.6, linewidths=0, label="intensity")
     if not modes.stable:
         growth = modes.hbar * np.where(modes.growth > 0.0, modes.growth, np.nan)
-        axes.plot(modes.distance, growth, color=FAIL_COLOUR, linewidth=1.2, linestyle="--")
-        axes.plot([], [], color=FAIL_COLOUR, linewidth=1.2, linestyle="--", label="growth")
+        lines = axes.plot(modes.distance, growth, color=FAIL_COLOUR, linewidth=1.2, linestyle="--")
+        lines[-1].set_label("growth")
         legend(axes)
     _name_corners(axes, modes, ink())
     axes.set_ylim(bottom=min(0.0, float(axes.get_ylim()[0])) if modes.frequencies.min() < 0.0 else 0.0)
@@ -151,12 +152,16 @@ def _energy_label(result: Any) -> str:
 def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
     if modes is not None:
         raise ValueError(f"modes are given for {spectrum!r}, of a plane; they are drawn on paths")
-    low, high = (0.0, float(spectrum.energy[-1])) if energies is None else energies
+    low, high = (0.0, float(spectrum.energies[-1])) if energies is None else energies
     grid = spectrum.integrated(low, high).reshape(spectrum.shape).T
     first, second = (spectrum.q[spectrum.corners[corner]] - spectrum.q[0] for corner in (2, 1))
     top = float(grid.max()) or 1.0
-    x, y = (_edges(np.linspace(0.0, 1.0, count)) for count in spectrum.shape)
-    _draw_colours(axes, x, y, grid, top * 10.0**-DECADES, top)
+    u, v = (_edges(np.linspace(0.0, 1.0, count)) for count in spectrum.shape)
+    # The angle of the edges, from their lengths and the diagonal.
+    side, width, diagonal = spectrum.distance[spectrum.corners[1:]].tolist()
+    shear = (diagonal**2 - width**2 - side**2) / (2.0 * width**2)
+    _draw_colours(axes, u + shear * v[:, None], v[:, None] + 0.0 * u, grid, top * 10.0**-DECADES, top)
+    axes.set_aspect(np.sqrt(max(0.0, (side / width) ** 2 - shear**2)))
     origin = corner_name(spectrum.q[0])
     axes.set(xlabel=f"{origin} + x {corner_name(first)}", ylabel=f"{origin} + y {corner_name(second)}")
     axes.set_title(f"structure factor, energies from {low:.4g} to {high:.4g}")

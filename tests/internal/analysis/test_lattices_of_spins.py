@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from coadjoint.analysis import thermal_states
+import coadjoint as co
+from coadjoint.analysis import structure_factor, thermal_states
 from coadjoint.analysis.wave_vectors import commensurate_waves, lattice_by_name
 from coadjoint.systems.forces.base import random_words
 from coadjoint.systems.lattices import geometry
@@ -49,3 +50,18 @@ def test_random_numbers_belong_to_sites():
     assert np.array_equal(thermal_states.uniform_words(4, (1, 0), 3, slice(2, 4)), draws[2][:, :, 2:4])
     noise = (random_words(4, 0, 0.0, 0, 60) >> np.uint64(11)).astype(float) * 2.0**-53
     assert not np.any(np.isclose(np.ravel(draws)[:, None], noise, rtol=0, atol=1e-15))
+
+
+@pytest.mark.parametrize("where", [[(0, 0, 0), (1, 0, 1)], co.spectra.Powder([0.0, 1.5, 3.0])])
+def test_spectra_are_computed_in_parts_of_wave_vectors_and_times(monkeypatch, where):
+    crystal = co.spins.crystal(lattice=(1, 1.2, 1.5, 90, 90, 90), sites={"Fe": (0, 0, 0)})
+    model = co.systems.spins(crystal, (3, 3, 3)).exchange(crystal.bonds(1)["1"], 0.3)
+    x = np.random.default_rng(1).standard_normal((2, 27, 3))
+    x /= np.linalg.norm(x, axis=2, keepdims=True)
+    sol = co.integrate(model, x.reshape(2, -1), (0, 1), 0.05)
+    neutrons = co.spectra.Neutrons(domains="symmetry")
+    whole = co.spectra.structure_factor(sol, where, None, neutrons)
+    monkeypatch.setattr(structure_factor, "NUMBERS_AT_ONCE", 110)
+    parts = co.spectra.structure_factor(sol, where, None, neutrons)
+    for name in ("intensity", "error", "components", "static"):
+        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-11, atol=1e-14)

@@ -57,7 +57,7 @@ def spins_one(crystal, size, couplings, site):
     table = np.array([(i, j, *n) for i, j, *n, _ in joined])
     lattice = lattice_of(plain)
     spins = np.broadcast_to(rows, (count, 3, 8))
-    return system, SitesOfSpins(plain.cells, plain.sites, size, (True,) * 3, table, spins, lattice, 1.0), pairs
+    return system, SitesOfSpins(plain.cells, plain.sites, size, (True,) * 3, table, spins, spins[:, 0], lattice), pairs
 
 
 def relaxed(vectors, pairs, site):

@@ -50,13 +50,13 @@ def test_a_ferromagnetic_chain(spin, units):
 
 
 def test_the_sense_of_dzyaloshinskii_moriya_coupling_is_that_of_runs():
-    model, bond = chain(16)
+    model, bond = chain(8)
     model = model.exchange(bond, -1.0).dzyaloshinskii_moriya(bond, (0, 0, 0.3)).field((0, 0, 1.0))
-    x = np.random.default_rng(1).standard_normal((48,)) * 1e-3 + tiled(model)
+    x = np.random.default_rng(1).standard_normal((24,)) * 1e-3 + tiled(model)
     x = (x.reshape(-1, 3) / np.linalg.norm(x.reshape(-1, 3), axis=1, keepdims=True)).ravel()
-    sol = co.integrate(model, x, (0, 60), 0.02, method=co.SphericalMidpoint(), save_every=10)
+    sol = co.integrate(model, x, (0, 40), 0.04, co.Splitting(order=4), save_every=5)
     S = co.spectra.structure_factor(sol, [(-1 / 2, 0, 0), (1 / 2, 0, 0)])
-    modes = co.spectra.linear_modes(model, tiled(model), [(-1 / 2, 0, 0), (1 / 2, 0, 0)], points=16)
+    modes = co.spectra.linear_modes(model, tiled(model), [(-1 / 2, 0, 0), (1 / 2, 0, 0)], points=8)
     assert np.allclose(modes.q, S.q)
     positive = S.omega > 0
     found = S.omega[positive][S.components[0][:, positive].argmax(axis=1)]
@@ -189,6 +189,19 @@ def test_dense_frequencies_of_models_without_symmetry():
     np.testing.assert_allclose(modes.frequencies[0], found.frequencies, rtol=1e-9)
     across = co.spectra.linear_modes(model, found.x, [(0.3, 0.1, 0), (0.3, 0.1, 0.5)], points=2)
     np.testing.assert_allclose(across.frequencies, across.frequencies[[0, 0, 0]], rtol=1e-9)
+
+
+def test_ions_of_other_moments_and_fields_of_sites_make_the_cell_larger():
+    model, bond = chain(6, spin=1.0)
+    model = model.exchange(bond, -1.0)
+    assert co.spectra.linear_modes(model, tiled(model), [(0, 0, 0)]).spins_in_cell == 1
+    ions = model.substitute("Cu", 1 / 6, seed=1, spin=1.0, g=3.0)  # with the same motion, and another moment
+    modes = co.spectra.linear_modes(ions, tiled(ions), [(0, 0, 0)], neutrons=co.spectra.Neutrons())
+    assert modes.spins_in_cell == 6 and np.allclose(modes.frequencies, np.sort(2 - 2 * COS(np.arange(6) / 6)))
+    # The zone centre has the mean moment in the uniform mode, and the difference in all.
+    assert np.isclose(modes.intensity[:, 1:].sum(), 2 / 3 * ((5 * 4 + 9) / 6 - (13 / 6) ** 2))
+    fields = np.where(np.arange(6) % 2, 0.3, 0.5)[:, None] * UP
+    assert co.spectra.linear_modes(model.field(fields), tiled(model), [(0, 0, 0)]).spins_in_cell == 2
 
 
 def canted(dipolar=False):

@@ -63,7 +63,7 @@ def by_hand(sol, model, q, omega, factors, polarized=True):
         phases = factors * np.exp(-1j * cartesian @ model.positions.T)
         sums = np.einsum("tia,ki,tm->akm", spins, phases, np.exp(1j * np.outer(sol.t, omega)))
         result += np.einsum("kab,akm,bkm->km", tensor, sums, sums.conj()).real
-    step, count = sol.t[1] - sol.t[0], len(sol.t)
+    step, count = abs(sol.t[1] - sol.t[0]), len(sol.t)
     return result * step / (2 * np.pi * spins.shape[1] * count * sol.x.shape[1])
 
 
@@ -101,7 +101,23 @@ def test_spectra_by_hand(ions):
     np.testing.assert_allclose(S.intensity, expected, rtol=1e-5, atol=1e-6 * expected.max())
     components = by_hand(RUN, model, S.q, S.omega, factors, False)
     np.testing.assert_allclose(S.components.sum(axis=0), components, rtol=1e-5, atol=1e-6 * components.max())
-    assert np.allclose(S.energy, MEV["hbar"] * S.omega, rtol=1e-12)
+    assert np.allclose(S.energies, MEV["hbar"] * S.omega, rtol=1e-12)
+
+
+def test_members_with_vacancies_and_other_ions_backward():
+    """Moments of substituted ions, sites without spins, and members of other couplings, from t = 3 to 1."""
+    models = [coupled().substitute("Fe", 0.3, seed=seed, spin=1.5, g=2.5).vacancies(0.25, seed=seed) for seed in (1, 2)]
+    x = np.random.default_rng(2).standard_normal((2, models[0].dim // 3, 3))
+    x /= np.linalg.norm(x, axis=2, keepdims=True)
+    sol = co.integrate(co.batch(models), x.reshape(2, -1), (3, 1), 0.05, save_every=2)
+    S = co.spectra.structure_factor(sol, PATH, None, co.spectra.Neutrons())
+    each = []
+    for member, model in enumerate(models):
+        alone = co.integrate(model, x[member : member + 1].reshape(1, -1), (3, 1), 0.05, save_every=2)
+        assert set(model.moments) == {2.5 * 1.5, 2.2 * 2, 2.0}
+        each.append(by_hand(alone, model, S.q, S.omega, np.tile(model.moments, (len(S.q), 1))))
+    # Of a backward run |sum over t| is that of the times in order.
+    np.testing.assert_allclose(S.intensity, np.mean(each, axis=0), rtol=1e-8, atol=1e-9 * np.max(each))
 
 
 @pytest.mark.parametrize("neutrons", [None, co.spectra.Neutrons(), co.spectra.Neutrons({"Fe": "Fe2+", "Ni": "Ni2+"})])
@@ -112,7 +128,7 @@ def test_sum_rules(neutrons, where):
     S = co.spectra.structure_factor(RUN, where, "hann", neutrons)
     total = S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0])
     np.testing.assert_allclose(total, S.static, rtol=1e-12)
-    np.testing.assert_allclose(S.integrated(S.energy[0], S.energy[-1]), total, rtol=0.2)
+    np.testing.assert_allclose(S.integrated(S.energies[0], S.energies[-1]), total, rtol=0.2)
 
 
 def test_temperature_gives_detailed_balance():
@@ -231,8 +247,8 @@ def test_resolution_of_an_instrument():
     np.testing.assert_allclose(broad.components.sum(axis=0), broad.intensity, rtol=1e-12)
     assert np.array_equal(broad.static, plain.static) and np.isfinite(broad.error).all()
     inside = slice(len(plain.omega) // 2 - 4, len(plain.omega) // 2 + 5)
-    sigma = (0.3 + 0.05 * np.abs(plain.energy)) / np.sqrt(8 * np.log(2))
-    weights = np.exp(-0.5 * ((plain.energy[:, None] - plain.energy) / sigma) ** 2)
+    sigma = (0.3 + 0.05 * np.abs(plain.energies)) / np.sqrt(8 * np.log(2))
+    weights = np.exp(-0.5 * ((plain.energies[:, None] - plain.energies) / sigma) ** 2)
     expected = plain.intensity @ (weights / weights.sum(axis=0)).T
     np.testing.assert_allclose(broad.intensity[:, inside], expected[:, inside], rtol=1e-12)
     narrow = plain.broadened(1e-9)
@@ -241,9 +257,9 @@ def test_resolution_of_an_instrument():
 
 def test_integrals_over_energies_count_parts_of_frequencies():
     S = co.spectra.structure_factor(RUN, PATH)
-    width = S.energy[1] - S.energy[0]
+    width = S.energies[1] - S.energies[0]
     middle = len(S.omega) // 2
-    found = S.integrated(S.energy[middle] - 0.5 * width, S.energy[middle + 1] + 0.25 * width)
+    found = S.integrated(S.energies[middle] - 0.5 * width, S.energies[middle + 1] + 0.25 * width)
     expected = (S.intensity[:, middle] + 0.75 * S.intensity[:, middle + 1]) * width / S.hbar
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
@@ -268,10 +284,21 @@ def test_pictures():
     axes = plane.plot((0.5, 3.0)).axes[0]
     assert axes.collections[0].get_array().shape == (5, 5)
     assert np.allclose(axes.collections[0].get_array().max(), plane.integrated(0.5, 3.0).max())
+    assert np.isclose(axes.get_aspect(), 1.0)
+    oblique = co.spectra.structure_factor(RUN, co.spectra.Plane((0, 0, 0), (1, 0, 0), (0, 1 / 3, 1)), None)
+    drawn = oblique.plot().axes[0]
+    marks = drawn.collections[0].get_coordinates()[[0, 0, -1], [0, -1, 0]] * (1.0, drawn.get_aspect())
+    edges = 2 * np.pi * np.linalg.solve(OBLIQUE.lattice, np.array([(1, 0, 0), (0, 1 / 3, 1)]).T).T
+    angle = edges[0] @ edges[1] / np.linalg.norm(edges[0]) / np.linalg.norm(edges[1])
+    first, second = marks[1:] - marks[0]
+    assert np.isclose(first @ second / np.linalg.norm(first) / np.linalg.norm(second), angle)
+    # Three cells along the first edge, of two steps, and two along the second.
+    ratio = np.linalg.norm(2 * edges[1]) / np.linalg.norm(3 / 2 * edges[0])
+    assert np.isclose(np.linalg.norm(second) / np.linalg.norm(first), ratio)
     assert "(1, 0, 0)" in axes.get_xlabel() and "(0, 1, 0)" in axes.get_ylabel()
     limited = S.plot((2.0, 10.0)).axes[0]
     low, high = limited.get_ylim()
-    width = S.energy[1] - S.energy[0]
+    width = S.energies[1] - S.energies[0]
     assert 2.0 - width < low < 2.0 + width and 10.0 - width < high < 10.0 + width
     with pytest.raises(ValueError, match="of another path"):
         S.plot(modes=co.spectra.linear_modes(model, UP, corners[:2]))
@@ -281,7 +308,8 @@ def test_pictures():
         co.spectra.linear_modes(model, UP, co.spectra.Plane((0, 0, 0), (1, 0, 0), (0, 1, 0)), 3).plot()
 
 
-SPECTRUM = co.spectra.structure_factor(RUN, PATH)
+SPECTRUM = co.spectra.structure_factor(RUN, PATH, None)
+MODES = co.spectra.linear_modes(tetragonal(), UP, PATH, 3)
 RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0.02)
 
 
@@ -314,7 +342,10 @@ RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0
         (r"energies is .*, and S has those from -\d.* to 19\.\d", lambda: SPECTRUM.integrated(0, 30)),
         (r"give the lower one first", lambda: SPECTRUM.integrated(2, 1)),
         (r"fwhm is -0.3 at the energy", lambda: SPECTRUM.broadened(-0.3)),
-        (r"fwhm returns the shape \(2,\)", lambda: SPECTRUM.broadened(lambda energy: np.ones(2))),
+        (r"fwhm returns .*; it must return finite numbers of the shape",
+         lambda: SPECTRUM.broadened(lambda energy: np.ones(2))),
+        (r"q has the length 30, .* reach 25 per angstrom", lambda: co.spectra.Neutrons().form_factor("Mn2+", [1, 30])),
+        (r"energies is \[0, 1, 3\]; give .* equidistant", lambda: MODES.spectrum([0, 1, 3], 0.1)),
         (r"state is no equilibrium of .* moves at the rate 0.*; give co.equilibrium\(system, state\).x",
          lambda: co.spectra.linear_modes(tetragonal(), np.tile([0.0, 0, 1.0], 32), PATH)),
         (r"state has the spin 31 on an orbit of lower dimension",
