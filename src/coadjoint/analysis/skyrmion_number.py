@@ -128,7 +128,7 @@ def _plane(model: Any) -> Plane:
         vectors = np.stack([a, b]) @ frame.T
         sites = (places - places[0]) @ frame.T @ np.linalg.inv(vectors)
         return Plane(vectors, sites, model.size[:2], model.periodic[:2], model.size[2], model._declared.numbers)
-    layout = getattr(model, "layout", {})
+    layout: Any = getattr(model, "layout", {})
     name, parameters = layout.get("lattice"), getattr(model, "parameters", None) or {}
     if not has_cell(name) or len(CELLS[name].edges) != 2 or "periodic" not in parameters:
         raise TypeError(
@@ -136,8 +136,8 @@ def _plane(model: Any) -> Plane:
             "co.systems.spins, and spin_lattice with a square, triangular, honeycomb or kagome lattice and a field "
             "that is no function"
         )
-    sizes, vectors = sizes_of(layout["shape"]), np.array(CELLS[name].edges)
-    sites = np.array(CELLS[name].sites) @ np.linalg.inv(vectors)
+    sizes, vectors = sizes_of(layout["shape"]), np.array(CELLS[name].edges, dtype=np.float64)
+    sites = np.array(CELLS[name].sites, dtype=np.float64) @ np.linalg.inv(vectors)
     total = len(sites) * math.prod(sizes)
     return Plane(vectors, sites, (sizes[0], sizes[1]), read_flags(parameters["periodic"], 2), 1, np.arange(total))
 

@@ -207,7 +207,7 @@ def _averages(
     deviations = (E - energy) ** 2
     square, square_error = _mean(deviations)
     centre = [_mean(M[..., axis]) for axis in range(3)]
-    scatter = sum((M[..., axis] - mean) ** 2 for axis, (mean, _) in enumerate(centre))
+    scatter = ((M - [mean for mean, _ in centre]) ** 2).sum(axis=-1)
     width, width_error = _mean(scatter)
     size = np.linalg.norm(M, axis=-1) / largest
     second, fourth = float((size**2).mean()), float((size**4).mean())

@@ -103,7 +103,8 @@ class OvfField:
         --------
         See `read_ovf`.
         """
-        model, nodes, sign = shape if isinstance(shape, SpinModel) else None, self.values.shape[:3], -1.0
+        model, nodes = shape if isinstance(shape, SpinModel) else None, self.values.shape[:3]
+        sign: Any = -1.0
         if model is None:
             wanted = read_mesh(shape)  # type: ignore[arg-type]
         else:
@@ -460,7 +461,8 @@ def ovf_of_run(
         target = place if lone else place / f"m{k:06d}.ovf"
         time = None if second is None else float(solution.t[k]) * second
         state = (-signs[:, None] * spins).ravel()
-        write_ovf(target, state, shape, cell=edges if cell is None else cell, data=data, time=time)
+        lengths: Any = edges if cell is None else cell
+        write_ovf(target, state, shape, cell=lengths, data=data, time=time)
         written.append(target)
     return tuple(written)
 

@@ -223,7 +223,7 @@ def _spacing_of_points(piece: Element, points: tuple[int, ...], order: str, head
     grid = places.reshape(*points[::-1], 3).transpose(2, 1, 0, 3)
     last = tuple(count - 1 for count in points)
     span = (grid[last] - grid[0, 0, 0]) / [max(count, 1) for count in last]
-    even = grid[0, 0, 0] + np.stack(np.indices(points), axis=-1) * span
+    even = grid[0, 0, 0] + np.moveaxis(np.indices(points), 0, -1) * span
     many = np.array(points) > 1
     if not (span[many] > 0.0).all() or np.abs(grid - even).max() > EVEN * span[many].min(initial=np.inf):
         array.refuse("has points that are not those of an even mesh along x, y, z; interpolate the field to one")

@@ -130,6 +130,9 @@ def test_the_barrier_of_a_pair(J):
         basins = label(energy <= level)[0]
         low, high = (low, level) if basins[ends[0]] == basins[ends[1]] else (level, high)
     assert abs(path.barrier - (high - energy[ends[0]])) < 1e-4
+    if J == 2.0:  # both spins turn together; the mode in which they turn apart is stiffer at the minimum
+        together, apart, there = (2 * np.sqrt(a * b) for a, b in ((1, 2), (1 + J, 2 + J), (J - 1, J + 1)))
+        assert abs(path.attempt_frequency / (together * apart / there / (2 * np.pi)) - 1) < 1e-6
     gradient = pair.vector_field(path.saddle)
     assert np.abs(gradient).max() < 1e-9
 

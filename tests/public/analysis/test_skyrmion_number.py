@@ -13,16 +13,21 @@ OBLIQUE = co.spins.crystal(
 )
 
 
-def lattices(periodic):
-    """Return lattices in the plane with the places of their sites in units of the cell."""
-    from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates
+SITES = {  # of a cell, in units of its edges
+    "square": [(0, 0)],
+    "triangular": [(0, 0)],
+    "honeycomb": [(0, 0), (1 / 3, 1 / 3)],
+    "kagome": [(0, 0), (1 / 2, 0), (0, 1 / 2)],
+}
 
-    for name in ("square", "triangular", "honeycomb", "kagome"):
-        yield co.systems.spin_lattice(name, (9, 11), periodic=periodic), cell_coordinates(name, (9, 11)), (9, 11)
-        assert name in CELLS
-    model = co.systems.spins(
-        OBLIQUE, (10, 9, 1), periodic=(*periodic, False) if isinstance(periodic, tuple) else periodic
-    )
+
+def lattices(periodic):
+    """Yield lattices in the plane with the places of their sites in units of the cell."""
+    cells = np.stack(np.indices((9, 11)), axis=-1).reshape(-1, 1, 2)
+    for name, sites in SITES.items():
+        yield co.systems.spin_lattice(name, (9, 11), periodic=periodic), (cells + sites).reshape(-1, 2), (9, 11)
+    flags = (*periodic, False) if isinstance(periodic, tuple) else periodic
+    model = co.systems.spins(OBLIQUE, (10, 9, 1), periodic=flags)
     yield model, (model.cells + OBLIQUE.positions[model.sites])[:, :2], (10, 9)
 
 

@@ -41,16 +41,17 @@ def test_a_run_is_written_with_its_moments_and_times(tmp_path, data, t_span):
 
 @pytest.mark.parametrize("g", [2.0, -2.0])
 def test_models_have_moments_of_the_sign_of_g(tmp_path, g):
-    """Positive g: moments along the states; vacancies are cells without a moment."""
+    """Positive g: moments along the states, also of substituted ions; vacancies are cells without a moment."""
     iron = co.spins.crystal(lattice=(3, 4, 5, 90, 90, 90), sites={"Fe": (0, 0, 0)}, space_group="P 1")
     model = co.systems.spins(iron, NODES, g=g, units="meV").field((0, 0, 1.0)).vacancies(0.25, seed=1)
+    model = model.substitute("Fe", 0.3, seed=2, spin=1.0, g=-g)
     x = np.stack([unit_vectors((18,)).ravel(), unit_vectors((18,), 4).ravel()])
     sol = co.integrate(model, x, (0, 0.1), 0.05)
     files = sol.to_ovf(tmp_path / "run", member=1)
     field = co.spins.read_ovf(files[0])
     assert field.cell == pytest.approx((3e-10, 4e-10, 5e-10))
     found = np.array([field.values[tuple(cell)] for cell in model.cells])
-    assert np.abs(found - np.sign(g) * x[1].reshape(-1, 3)).max() < 1e-15
+    assert np.abs(found - np.sign(model.moments)[:, None] * x[1].reshape(-1, 3)).max() < 1e-15
     assert (np.linalg.norm(field.values, axis=-1) == 0).sum() == 6
     assert np.abs(field.spins(model) - x[1]).max() < 4e-16
 

@@ -43,12 +43,12 @@ def _declared(model: Any, simulator: str) -> Any:
     """Return the declaration of a model; ValueError for terms that a simulator would not get."""
     if not isinstance(model, SpinModel):
         raise TypeError(f"model is {short(model)}; give a model of co.systems.spins")
-    declared = model._declared
+    declared: Any = model._declared
     if model.forces:
         raise ValueError(f"the model has forces, which {simulator} takes elsewhere; give model.unforced")
     others = [one.what for one in declared.couplings if one.what not in TERMS]
-    for one in (*declared.couplings, *declared.anisotropies):
-        others += [name for name in one._fields if name not in PARTS and len(getattr(one, name))]
+    for part in (*declared.couplings, *declared.anisotropies):
+        others += [name for name, value in part._asdict().items() if name not in PARTS and len(value)]
     for known in dataclasses.fields(declared):
         if known.name not in FIELDS and getattr(declared, known.name) != known.default:
             others.append(known.name)

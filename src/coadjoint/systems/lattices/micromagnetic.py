@@ -100,7 +100,7 @@ def micromagnetic(
     >>> float((1000 * omega.min() / (2 * np.pi)).round(3)), round(1.7595e11 * (0.5 + 2 * 1e5 / 8e5) / (2e9 * np.pi), 3)
     (21.002, 21.002)
     """
-    sizes, flags = read_sizes(size, 3, "size"), read_flags(periodic, 3)
+    (nx, ny, nz), flags = read_sizes(size, 3, "size"), read_flags(periodic, 3)
     edges, u = read_finite(cell, "cell"), read_finite(axis, "axis")
     if edges.shape != (3,) or not ((edges > 1e-12) & (edges < 1.0)).all():
         raise ValueError(f"cell is {short(cell)}; give three edges in metres, along x, y, z, as (4e-9, 4e-9, 1e-9)")
@@ -125,8 +125,8 @@ def micromagnetic(
     lattice = np.diag(edges / ANGSTROM)
     alone = SymmetryOperations(np.eye(3, dtype=np.int64)[None], np.zeros((1, 3)), "P 1 (1)")
     crystal = Crystal(lattice, ["m"], ["m"], np.zeros((1, 3)), alone, 1e-3)
-    model = spins(crystal, sizes, spin=moment / factor, g=-factor, periodic=flags, units="meV")
-    along = np.array([axis for axis, count in enumerate(sizes) if count > 1], dtype=np.int64)
+    model = spins(crystal, (nx, ny, nz), spin=moment / factor, g=-factor, periodic=flags, units="meV")
+    along = np.array([axis for axis, count in enumerate((nx, ny, nz)) if count > 1], dtype=np.int64)
     r, d = np.eye(3)[along], edges[along, None, None]
     vectors = D * np.cross((0.0, 0.0, 1.0), r) - D_bulk * r
     couplings = volume / d * (antisymmetric(vectors) - 2.0 * A / d * np.eye(3))
