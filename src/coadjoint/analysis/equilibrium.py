@@ -225,8 +225,8 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     system : LiePoissonSystem or MatrixSystem
         On any algebra, with a Hamiltonian that has second derivatives and does not depend on time; at most a few
         thousand coordinates. Of systems of matrices those of su(N) and u(N) with a linear stream, such as
-        `sphere_euler` and `torus_euler`, up to about 40 rows; with ``relax="down"`` up to about 20, which take a minute,
-        since their energy is flat near its minimum.
+        `sphere_euler` and `torus_euler`, up to about 40 rows; with ``relax="down"`` up to about 20, which take a
+        minute, since their energy is flat near its minimum.
     x0 : array_like, shape (n,) or (N, N)
         The initial state. It selects the orbit, and of several equilibria the one that is found.
     relax : {"down", "up", "none"}
