@@ -28,6 +28,10 @@ x0 = system.state(
     "layered_qg": """\
 jet = system.fluid.zonal_jet(band=(0.2, 1.2), perturbation=0.05)
 x0 = system.absolute([jet, 0 * jet])""",
+    "thermal_qg": """\
+b = system.fluid.from_modes({(2, 0): -1.0, (1, 0): 0.3}, absolute=True)
+small = system.fluid.relative(system.fluid.random(seed=2, degrees=(3, 8)))
+x0 = system.absolute([b, 0.2 * np.asarray(small)])""",
     "lorenz_1960": SPHERE.format(count=14, factor="") + " * (1, 1, 0.5**0.5)",
     "matrix_body": """\
 x0 = np.zeros((5, 5))

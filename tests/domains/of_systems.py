@@ -285,6 +285,13 @@ OWN = {
         "gamma": not_negative(0.5),
         "topography": TOPOGRAPHY,
     },
+    "thermal_qg": {
+        "N": whole(3, 4096, usual=5, tried=6),
+        "gamma": not_negative(0.5),
+        "topography": TOPOGRAPHY,
+        "bathymetry": TOPOGRAPHY.but_called(r"\bbathymetry\b|\bmodes?\b|\bheights\b|\bends with\b"),
+        "lamb": not_negative(2.0),
+    },
     "torus_euler": {"N": one_of(5, 3).plus(outside=(0, 1, 1002, 1003, -3)).first(5, 3, 7, np.int64(7))},
     "vlasov_moments": {
         "degree": whole(2, 100, usual=4, tried=6).plus(8, outside=(3, 5, 99, 102)),

@@ -165,6 +165,7 @@ SMALL = {
     "torus_qg": {"N": 5},
     "surface_qg": {"N": 3},
     "layered_qg": {"N": 3},
+    "thermal_qg": {"N": 3},
     "reduced_mhd": {"N": 3},
     "passive_scalar": {"N": 3},
 }

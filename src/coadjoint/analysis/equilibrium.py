@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,6 +157,7 @@ EIGENVALUES_BELOW = 600  # coordinates; of more, the eigenvalues of a second var
 MORE_DESCENTS = 50  # descents after a second variation that is not definite, and twice as many each time
 MEMORY = 10  # descents from which the curvature of the energy is known
 MAX_ANGLE = 1.0  # largest norm of the exponent of a Newton step
+LEAST_SHARE = 0.1  # of the decrease predicted by the second variation that a Newton step must have
 ARMIJO = 0.25  # share of the decrease predicted by the gradient that a step must have
 ROUNDS = 64.0  # residual, in units of the round-off of its terms, at which a state is an equilibrium
 STAGNANT = 1e-12  # the same, relative to the terms, if it no longer falls
@@ -165,6 +167,7 @@ DEFECTIVE = 2.0**-24  # the same, relative to the matrix: eigenvalues of a Jorda
 SINGULAR = 1e-12  # the same in Newton's equation
 UNBOUNDED = 1e5  # growth of the state, or decrease of J(x), at which there is no equilibrium
 ARRAYS = 6  # of N^2 complex matrices, for the second variation on an orbit of matrices
+MAX_BISECTIONS = 64  # of the shift that bounds a Newton step
 MAX_SHIFTS = 200  # evaluations of the search for multipliers of integrals
 
 
@@ -222,7 +225,8 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     system : LiePoissonSystem or MatrixSystem
         On any algebra, with a Hamiltonian that has second derivatives and does not depend on time; at most a few
         thousand coordinates. Of systems of matrices those of su(N) and u(N) with a linear stream, such as
-        `sphere_euler` and `torus_euler`, up to about 40 rows.
+        `sphere_euler` and `torus_euler`, up to about 40 rows; with ``relax="down"`` up to about 20, which take a
+        minute, since their energy is flat near its minimum.
     x0 : array_like, shape (n,) or (N, N)
         The initial state. It selects the orbit, and of several equilibria the one that is found.
     relax : {"down", "up", "none"}
@@ -241,7 +245,7 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
         The system has forces, a nonlinear bracket, other or several matrices as states, or its Hamiltonian depends on
         time or has no second derivatives.
     RuntimeError
-        No equilibrium was found from x0. The energy of fluids of many rows is flat near its minimum.
+        No equilibrium was found from x0.
 
     Notes
     -----
@@ -356,11 +360,13 @@ def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
 def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
     last, reference, scale = np.inf, orbit.sizes(x), orbit.field_scale(x)
+    # On unitary orbits descents end at fluids whose energy is flat, far from definite ones.
+    is_long = len(x) > EIGENVALUES_BELOW and isinstance(orbit, CoadjointOrbits)
     # Ways of descents, and the change of the field along them: by these, directions know the second variation.
     pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
     latest: tuple[Floats, Floats] | None = None
     # Descents take time in proportion to the nonzero structure constants, Newton's method to the third power of n.
-    descents, more, until = max(MAX_DESCENTS, len(x)), MORE_DESCENTS, 0
+    descents, more, until, radius = max(MAX_DESCENTS, len(x)), MORE_DESCENTS, 0, np.inf
     for count in range(descents + MAX_NEWTON):
         field = orbit.product(x, orbit.gradient(x))
         residual = float(np.max(np.abs(field)))
@@ -369,7 +375,7 @@ def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
             return x
         note_progress(f"a state, now with the residual {residual:.1e}")
         near = residual <= NEWTON_FROM * scale and count >= until
-        if direction and near and len(x) > EIGENVALUES_BELOW and count < descents - more:
+        if direction and near and is_long and count < descents - more:
             # Far from definite, a Newton step takes the time of many descents, which end nearer to an equilibrium.
             near = _is_semidefinite(orbit, x, direction)
             until, more = (until, more) if near else (count + more, 2 * more)
@@ -388,7 +394,7 @@ def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
             latest = direction * length * v, field
         else:
             last = residual
-            x = _newton_step(orbit, x, field, direction)
+            x, radius = _newton_step(orbit, x, field, direction, radius)
         _check_bounded(orbit, reference, orbit.sizes(x), direction)
     raise RuntimeError(
         f"no equilibrium of {orbit.system.name} was found from x0: the residual is {residual:.1e} after "
@@ -432,17 +438,78 @@ def _searched(orbit: Orbits, x: Floats, v: Floats, length: float, slope: float, 
         length *= 0.5
 
 
-def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float) -> Floats:
-    """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
+def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float, radius: float) -> tuple[Floats, float]:
+    """Return a Newton step, and the radius of the next one; in a descent the energy must decrease as predicted."""
+    # In a descent eigenvalues of the other sign are reversed, and steps are bounded by a trust region: a step that is
+    # shortened as a whole would hardly move along the many soft directions near an extremum of a fluid.
     tangents: Any = orbit.tangents(x)
     gradient = tangents.basis.T @ field
-    components = _solved(orbit.second_variation(x, tangents), gradient, direction)
-    v = tangents.basis @ components
-    size = orbit.norm(v)
-    length = min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0
+    matrix = orbit.second_variation(x, tangents)
     if not direction:
-        return orbit.moved(x, length * v)
-    return _searched(orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
+        v = tangents.basis @ _solved(matrix, gradient)
+        size = orbit.norm(v)
+        return orbit.moved(x, v * (min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0)), radius
+    downhill, energy = _Downhill(direction * matrix, gradient), direction * orbit.energy(x)
+    while True:
+        components = downhill.within(radius)
+        length = float(np.linalg.norm(components))
+        v = direction * (tangents.basis @ components)
+        size = orbit.norm(v)
+        if size > 1.5 * MAX_ANGLE:
+            radius = length * MAX_ANGLE / size
+            continue
+        moved, slope = orbit.moved(x, v), float(gradient @ components)
+        change = direction * orbit.energy(moved) - energy
+        predicted = slope - 0.5 * float(components @ (direction * matrix) @ components)
+        if change <= -LEAST_SHARE * predicted or slope <= ROUNDS * UNIT_ROUNDOFF * (1.0 + abs(energy)):
+            is_as_predicted = change <= -0.75 * predicted and length >= 0.9 * radius
+            return moved, 2.0 * radius if is_as_predicted else radius
+        radius = 0.5 * length
+
+
+class _Downhill:
+    """Newton steps of a bounded length by the absolute values of a matrix; directions of eigenvalue zero stay."""
+
+    def __init__(self, matrix: Floats, gradient: Floats) -> None:
+        self._matrix, self._gradient = matrix, gradient
+
+    @cached_property
+    def _whole(self) -> Floats:
+        """The step without a bound; eigenvalues are not computed if a factorization shows that all are positive."""
+        from scipy.linalg import LinAlgError, cho_factor, solve
+
+        matrix = self._matrix
+        try:
+            cho_factor(matrix - SINGULAR * np.linalg.norm(matrix, 1) * np.eye(len(matrix)), overwrite_a=True)
+            return np.asarray(solve(matrix, self._gradient, assume_a="pos"))
+        except LinAlgError:
+            return self._shifted(0.0)
+
+    @cached_property
+    def _eigen(self) -> tuple[Floats, Floats, Floats]:
+        """Absolute eigenvalues, eigenvectors, and the gradient in these; zero along eigenvalues that are zero."""
+        values, vectors = np.linalg.eigh(self._matrix)
+        sizes = np.abs(values)
+        zero = sizes <= SINGULAR * np.max(sizes, initial=0.0)
+        return np.where(zero, 1.0, sizes), vectors, np.where(zero, 0.0, vectors.T @ self._gradient)
+
+    def _shifted(self, shift: float) -> Floats:
+        sizes, vectors, gradient = self._eigen
+        return np.asarray(vectors @ (gradient / (sizes + shift)))
+
+    def within(self, radius: float) -> Floats:
+        """Return the step whose length is at most a radius: eigenvalues are increased by one number."""
+        if np.linalg.norm(self._whole) <= radius:
+            return self._whole
+        sizes, _, gradient = self._eigen
+        low, high = 0.0, float(np.linalg.norm(gradient)) / radius
+        for _ in range(MAX_BISECTIONS):
+            middle = float(np.sqrt(max(low, 1e-6 * high) * high))
+            longer = np.linalg.norm(gradient / (sizes + middle)) > radius
+            low, high = (middle, high) if longer else (low, middle)
+            if high - low <= 0.01 * high:
+                break
+        return self._shifted(high)
 
 
 def _is_semidefinite(orbit: Orbits, x: Floats, direction: float) -> bool:
@@ -456,21 +523,9 @@ def _is_semidefinite(orbit: Orbits, x: Floats, direction: float) -> bool:
     return True
 
 
-def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
-    """Return the inverse of the absolute matrix with the sign of the direction, or of the matrix, times a gradient."""
-    # Eigenvalues that are zero have none. If a factorization shows that all have the sign, they are not computed.
-    from scipy.linalg import LinAlgError, cho_factor, solve
-
-    if direction:
-        smallest = SINGULAR * np.linalg.norm(matrix, 1)
-        try:
-            cho_factor(direction * matrix - smallest * np.eye(len(matrix)), overwrite_a=True)
-            return direction * np.asarray(solve(direction * matrix, gradient, assume_a="pos"))
-        except LinAlgError:
-            pass
+def _solved(matrix: Floats, gradient: Floats) -> Floats:
+    """Return the inverse of a matrix, which is zero along eigenvalues that are zero, times a gradient."""
     values, vectors = np.linalg.eigh(matrix)
-    if direction:
-        values = direction * np.abs(values)
     zero = np.abs(values) <= SINGULAR * np.max(np.abs(values), initial=0.0)
     components = np.where(zero, 0.0, vectors.T @ gradient / np.where(zero, 1.0, values))
     return np.asarray(vectors @ components)

@@ -37,8 +37,10 @@ class MatrixForceReader:
         change = self._state(torque)
         return lambda _, x, t, tau, member: x + tau * change
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: Any, layers: range) -> Any:
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, changes: Any, rest: Any, buoyancy: Any) -> Any:
         """Return the flow of c' = -rate c for modes by diagonal, exact."""
+        if buoyancy is not None:
+            raise TypeError(f"JAX takes no rates of modes of {self.system.name}, not {self.what}; take prepared.run")
         N, on_sphere = modes.N, modes.kind == Harmonics.kind
         table = np.zeros((N, N), dtype=np.result_type(*rates))
         for d, (of_diagonal, rate) in enumerate(zip(numbers, rates, strict=True)):
@@ -50,10 +52,13 @@ class MatrixForceReader:
             if d:  # the conjugate modes
                 table[-k % N, N - d] = np.conj(rate)
         vectors = harmonics_by_diagonal(N) if on_sphere else None
-        rest, layer = None if target is None else self._state(target), layers.start  # layered flows are refused before
+        still, layer = (
+            None if rest is None else self._state(rest),
+            changes[0].changed,
+        )  # layered flows are refused before
 
         def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
-            moving = x if rest is None else x - rest
+            moving = x if still is None else x - still
             factors = jnp.expm1(-tau * table)
             one = moving if moving.ndim == 2 else moving[layer]
             change = scale_waves(factors, one) if vectors is None else scale_harmonics(vectors, factors, one)

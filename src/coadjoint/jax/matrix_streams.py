@@ -18,17 +18,27 @@ Constants = dict[str, Any]
 def stream_map(system: Any) -> tuple[Constants, Callable[[Constants, Any], Any]]:
     """Return the arrays of the stream of a system, and the stream as a function of these and of states (..., N, N)."""
     layers = len(system.matrix_shape) == 3
-    maps = {"first": system.stream, "second": system.second_stream}
+    buoyancy = system.buoyancy
+    maps = {"first": system.stream, "second": None if buoyancy is not None else system.second_stream}
     named = {name: _map_of(one, system.name) for name, one in maps.items() if one is not None}
     constants: Constants = {name: arrays for name, (arrays, _) in named.items()}
     if system.linear is not None:
         constants["linear"] = system.linear
+    if buoyancy is not None:
+        constants["factors"] = buoyancy.factors
+
+    def of_carried(given: Constants, X: Any) -> Any:
+        """Return P and J of two fields."""
+        carried, W = X[..., 0, :, :], X[..., 1, :, :]
+        if buoyancy is not None:
+            P = named["first"][1](given["first"], W - given["factors"] * _without_mean(carried))
+            return jnp.stack([P, -_without_mean(given["factors"] * P)], -3)
+        P = named["first"][1](given["first"], W)
+        J = named["second"][1](given["second"], carried) if "second" in named else jnp.zeros_like(P)
+        return jnp.stack([P, J], -3)
 
     def stream(given: Constants, X: Any) -> Any:
-        P = named["first"][1](given["first"], X[..., 1, :, :] if layers else X)
-        if layers:
-            J = named["second"][1](given["second"], X[..., 0, :, :]) if "second" in named else jnp.zeros_like(P)
-            P = jnp.stack([P, J], -3)
+        P = of_carried(given, X) if layers else named["first"][1](given["first"], X)
         return P + given["linear"] if "linear" in given else P
 
     return constants, stream
@@ -52,6 +62,11 @@ def _map_of(stream: Any, name: str) -> tuple[Any, Callable[[Any, Any], Any]]:
         factors = np.array([np.concatenate([np.zeros(m), stream.factors[m:]]) for m in range(N)])
         return (harmonics_by_diagonal(N), factors), lambda arrays, W: scale_harmonics(arrays[0], arrays[1], W)
     raise TypeError(f"JAX takes streams by numbers, and that of {name} is a function; take prepared.run")
+
+
+def _without_mean(A: Any) -> Any:
+    """Return matrices without their trace."""
+    return A - jnp.trace(A, axis1=-2, axis2=-1)[..., None, None] / A.shape[-1] * jnp.eye(A.shape[-1])
 
 
 def adjoint(A: Any) -> Any:

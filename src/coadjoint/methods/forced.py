@@ -202,11 +202,16 @@ class Forced(Wrapper):
         labelled = list(zip(system.labels, system.forces, strict=True))
         breaking = [label for label, force in labelled if not force.casimirs]
         moving = [label for label, force in labelled if not force.preserves_poisson(system.unforced)]
-        broken = [("Poisson map", inner.poisson, moving), ("energy", inner.energy, list(system.labels))]
+        working = [label for label, force in labelled if not force.preserves_energy(system.unforced)]
+        broken = [("Poisson map", inner.poisson, moving), ("energy", inner.energy, working)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
         broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
         return Properties(
-            inner.poisson and not moving, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by
+            inner.poisson and not moving,
+            inner.energy and not working,
+            "none" if breaking else inner.casimirs,
+            inner.attitude,
+            broken_by,
         )
 
     def check_attitude(self, system: Any, representation: Any) -> None:

@@ -36,6 +36,7 @@ from coadjoint.systems.fluids.quasi_geostrophic import sphere_qg as sphere_qg
 from coadjoint.systems.fluids.quasi_geostrophic import surface_qg as surface_qg
 from coadjoint.systems.fluids.quasi_geostrophic import torus_qg as torus_qg
 from coadjoint.systems.fluids.sphere_euler import sphere_euler as sphere_euler
+from coadjoint.systems.fluids.thermal_flow import thermal_qg as thermal_qg
 from coadjoint.systems.fluids.torus_euler import torus_euler as torus_euler
 from coadjoint.systems.fluids.truncations import fluid_triad as fluid_triad
 from coadjoint.systems.fluids.truncations import lorenz_1960 as lorenz_1960
@@ -105,6 +106,7 @@ __all__ = [
     "spin_lattice",
     "spins",
     "surface_qg",
+    "thermal_qg",
     "toda",
     "toda_ring",
     "torus_euler",

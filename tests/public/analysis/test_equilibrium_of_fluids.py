@@ -164,3 +164,19 @@ def test_states_in_numbers():
 def test_refused(call, named):
     with refused((ValueError, TypeError, MemoryError), *named):
         call()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("N", [14, 20])
+def test_the_flat_minimum_of_the_energy_is_found(N):
+    """Its second variation has eigenvalues from 1e-5 of the largest one, of both signs until the end."""
+    s = co.systems.sphere_euler(N)
+    W = s.random(seed=1)
+    found = co.equilibrium(s, W, relax="down")
+    assert found.energy < 0.2 * s.energy(W)
+    assert found.residual < 1e-12 * np.abs(W).max()
+    np.testing.assert_allclose(s.spectrum(found.x), s.spectrum(W), rtol=0, atol=1e-12)
+    for seed in range(3):  # no small conjugation lowers it
+        v = 1e-2 * s.random(seed=seed, energy=1.0)
+        U = np.linalg.solve(np.eye(N) - v / 2, np.eye(N) + v / 2)
+        assert s.energy(U @ found.x @ U.conj().T) > found.energy

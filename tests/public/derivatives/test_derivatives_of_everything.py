@@ -169,6 +169,10 @@ MATRICES = {  # of the user, and with forces
     "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
         (F.Friction, {"rate": 0.1}), (F.RandomForcing, {"energy_rate": 0.3, "band": (2, 3), "seed": 1})),
         co.IsospectralGauss(1), 2),
+    "drag of a layer": (forced(named("layered_qg", N=3, rotation=0.7), (F.Friction, {"rate": 0.3, "layer": 1})),
+        co.IsospectralGauss(1), 2),
+    "forces on a warm planet": (forced(named("thermal_qg", N=3, rotation=0.7, bathymetry={(2, 1): 0.3}),
+        (F.Friction, {"rate": 0.3}), (F.Viscosity, {"nu": 0.05, "layer": "carried"})), co.IsospectralGauss(1), 2),
     "forces on the torus": (forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate":
         lambda n: 0.1 * n})), co.CommutatorFree(), 2),
 }  # fmt: skip

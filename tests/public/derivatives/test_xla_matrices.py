@@ -57,6 +57,9 @@ VARIANTS = {
     "with gamma": lambda: made("torus_qg", gamma=2.0, topography=((1, 2, 0.3, 0.0),)),
     "surface of the torus": lambda: made("surface_qg", surface="torus"),
     "magnetic torus": lambda: made("reduced_mhd", surface="torus"),
+    "warm planet": lambda: made(
+        "thermal_qg", gamma=2.0, rotation=1.0, topography=((2, 1, 0.3, 0.0),), bathymetry=((2, 1, 0.5, 0.0),)
+    ),
     "even": lambda: co.systems.surface_qg(N=6),
 }
 SYSTEMS = {name: lambda name=name: made(name) for name in EVERY} | VARIANTS

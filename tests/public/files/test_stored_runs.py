@@ -117,6 +117,12 @@ OTHERS = {
     ("layered_qg", "thicknesses"): {"N": 5, "thicknesses": (2.0, 2.0)},
     ("layered_qg", "lamb"): {"N": 5, "lamb": ((2.0, -2.0), (-2.0, 2.0))},
     ("layered_qg", "rotation"): {"N": 5, "rotation": 0.75},
+    ("thermal_qg", "gamma"): {"N": 5, "gamma": 2.0},
+    ("thermal_qg", "rotation"): {"N": 5, "rotation": 0.75},
+    ("thermal_qg", "topography"): {"N": 5, "topography": ((2.0, 1.0, 0.1, 0.0),)},
+    ("thermal_qg", "bathymetry"): {"N": 5, "bathymetry": ((2.0, 1.0, 0.1, 0.0),)},
+    ("thermal_qg", "lamb"): {"N": 5, "lamb": 2.0},
+    ("thermal_qg", "surface"): {"N": 5, "surface": "torus"},
     ("point_vortices", "surface"): {"surface": "sphere"},
 }  # fmt: skip
 OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar", "layered_qg")}
@@ -129,6 +135,7 @@ SIZED = {
     "torus_qg": 5,
     "surface_qg": 4,
     "layered_qg": 5,
+    "thermal_qg": 5,
 }
 
 

@@ -20,11 +20,13 @@ FIXED = {
     "clebsch_body", "double_spherical_pendulum", "fluid_triad", "goryachev_chaplygin_top", "gyrostat", "heavy_top",
     "kirchhoff_body", "kovalevskaya_top", "lagrange_top", "lorenz_1960", "maxwell_bloch", "paper_a37",
     "paper_rigid_body", "passive_scalar", "reduced_mhd", "riccati", "rigid_body", "satellite", "satellite_on_orbit",
-    "layered_qg", "separable_cosh", "sklyanin", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
+    "thermal_qg", "layered_qg", "separable_cosh", "sklyanin",
+    "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
 }  # fmt: skip
 # Their states are matrices.
 FLUIDS = {
     "layered_qg", "passive_scalar", "reduced_mhd", "sphere_euler", "sphere_qg", "surface_qg", "torus_euler", "torus_qg",
+    "thermal_qg",
 }  # fmt: skip
 
 

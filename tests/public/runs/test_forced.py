@@ -245,6 +245,27 @@ def test_what_is_broken_is_labelled():
     assert spin.casimirs == "quadratic" and spin.broken_by == ("energy: DoubleBracketDamping",)
 
 
+def test_forces_that_keep_the_energy_do_not_break_it():
+    body, base = co.systems.rigid_body(inertia=(1, 2, 3)), co.GaussLegendre(2)
+    kept = body.with_forces(co.forces.SelectiveDecay(0.1))
+    found = co.methods.Forced(base).properties(kept)
+    assert found.energy and found.broken_by == ("Poisson map: SelectiveDecay", "Casimirs: SelectiveDecay")[1:]
+    sol = co.integrate(kept, (0.6, 0.5, -0.3), (0, 20), 2**-5, base, save_every=64)
+    assert sol.change()["energy"] < 1e-13
+    lost = co.methods.Forced(base).properties(kept.with_forces(co.forces.LinearDamping(0.1)))
+    assert not lost.energy and lost.broken_by[0] == "energy: LinearDamping"
+    # The midpoint rule of the decay preserves no other energy than quadratic ones.
+    cubic = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 0, 0): 1.0, (0, 0, 3): 0.2}))
+    decaying = cubic.with_forces(co.forces.SelectiveDecay(0.1))
+    assert not co.methods.Forced(co.RadauEnergy(2)).properties(decaying).energy
+    fluid = co.systems.torus_qg(N=7, gamma=2.0, topography={(1, 0): 0.3}).with_forces(co.forces.BetaPlane(2.0))
+    x = fluid.to_vector(fluid.random(seed=1))
+    turned = fluid.forces[0].flow(fluid.unforced, x, 0.0, 0.7)
+    assert np.abs(turned - x).max() > 0.1
+    assert fluid.unforced.energy(turned) == pytest.approx(fluid.unforced.energy(x), rel=1e-14)
+    assert fluid.forces[0].preserves_energy(fluid.unforced)
+
+
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 0.4, 0.5)
 
 

@@ -17,7 +17,7 @@ FULL = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])
 FIELDS = np.array([[0.0, 0.0, 0.5], [1.0, -0.5, 0.25], [0.0, 0.0, 0.0]])
 FLUIDS = (
     "sphere_euler", "torus_euler", "sphere_qg", "torus_qg", "surface_qg", "reduced_mhd", "passive_scalar",
-    "layered_qg",
+    "layered_qg", "thermal_qg",
 )  # fmt: skip
 SMALL = {name: {"N": 5} for name in FLUIDS}
 
@@ -106,6 +106,8 @@ OTHERS = {
         5, [[3, -3, 0], [-1.5, 2, -0.5], [0, -0.25, 0.5]], (1.0, 2.0, 4.0), lamb=np.eye(3), rotation=0.7
     ),
     "layers on a torus": S.layered_qg(5, [[2.0, -1.0], [-2.0, 1.5]], (2.0, 1.0), surface="torus"),
+    "warm planet": S.thermal_qg(5, 1.5, 0.7, {(2, 1): 0.2 - 0.1j}, {(2, 1): 0.3j, (1, 0): 0.1}, 2.0),
+    "warm basin": S.thermal_qg(5, 1.5, topography={(1, 2): 0.2}, bathymetry={(1, 2): 0.2 - 0.1j}, surface="torus"),
     "dye on a planet": S.passive_scalar(5, rotation=0.7),
     "basin": S.torus_qg(5, 1.5, {(1, 2): 0.2 - 0.1j}),
     "surface of a torus": S.surface_qg(5, "torus"),

@@ -249,6 +249,111 @@ def test_drag_lowers_the_energy_of_layers_that_rest_beside_a_moving_one():
     assert sol.energy[-1] / sol.energy[0] == pytest.approx(np.exp(-1.2), rel=1e-3)
 
 
+def relative_vorticities(s, q):
+    """Return the relative vorticities of `solved`, mode by mode."""
+    return s.fluid.from_modes(-s.fluid.eigenvalues * s.fluid.mode_array(solved(s, q), absolute=True), absolute=True)
+
+
+@pytest.mark.parametrize("span", [(0.5, 1.0), (1.0, 0.75)])
+@pytest.mark.parametrize("name", ["three layers", "torus"])
+def test_drag_of_one_layer_acts_on_its_relative_vorticity(name, span):
+    s = FLOWS[name]
+    k, x0 = s.shape[0] - 1, np.stack([start_of(s, 1), start_of(s, 5)])
+    drag, viscosity = co.forces.Friction(lambda l: 0.1 + 0.2 * l, layer=k), co.forces.Viscosity(0.01, 1, True, layer=0)
+    forced, rest = s.with_forces(drag, viscosity), s.absolute(np.zeros(s.shape))
+
+    def force(q, P):
+        fluid, zeta, change = s.fluid, relative_vorticities(s, q), np.zeros_like(q)
+        scales = np.sqrt(fluid.eigenvalues) if name == "torus" else fluid.degrees
+        for layer, rates in ((k, 0.1 + 0.2 * scales), (0, 0.01 * fluid.eigenvalues)):
+            change[layer] -= fluid.from_modes(rates * fluid.mode_array(zeta[layer], absolute=True), absolute=True)
+        return change
+
+    sol = co.integrate(forced, x0, span, 2.0**-8, SIXTH, save_every=64)
+    for m in range(2):
+        np.testing.assert_allclose(sol.x[-1, m], reference(s, x0[m], span, force), rtol=0, atol=3e-5)
+    for one in (drag, viscosity):  # the flow alone, exact, and its derivative
+        flow = one.flow(s, s.to_vector(x0[0]), 0.0, 0.7)
+        np.testing.assert_allclose(
+            one.flow(s, one.flow(s, s.to_vector(x0[0]), 0.0, 0.3), 0.0, 0.4), flow, rtol=0, atol=1e-12
+        )
+        untouched = np.delete(s.from_vector(flow) - x0[0], one.layer, axis=0)
+        assert np.array_equal(untouched, np.zeros_like(untouched))
+        slope = s.from_vector(one.field(s, s.to_vector(x0[0]), 0.0))
+        alone = force(x0[0], None)[one.layer]
+        np.testing.assert_allclose(slope[one.layer], alone, rtol=0, atol=1e-11)
+    assert sol.balance()["energy"] < 1e-5
+    np.testing.assert_allclose(
+        co.integrate(forced, rest, (0, 1), 0.25, SIXTH).x[-1], rest, rtol=0, atol=1e-14 + 1e-14 * np.abs(rest).max()
+    )
+
+
+def test_drag_of_the_lowest_layer_always_lowers_the_energy(tmp_path):
+    """By H_k r times the integral of its |u_k|^2; steps of the flow of the force alone are exact."""
+    s = FLOWS["two layers"]
+    x0 = start_of(s)
+    drag = s.with_forces(co.forces.Friction(0.7, layer=1))
+    sol = co.integrate(drag, x0, (0, 20), 0.05, co.IsospectralGauss(), save_every=4, archive=tmp_path / "run.zarr")
+    assert np.all(np.diff(sol.energy) < 0.0)
+    kinetic = s.fluid.energy_spectrum(s.relative(sol.x))[1].sum(axis=-1)
+    lost = -2 * 0.7 * s.thicknesses[1] * kinetic[:, 1]
+    middle = (sol.energy[2:] - sol.energy[:-2]) / (sol.t[2:] - sol.t[:-2])
+    np.testing.assert_allclose(middle, lost[1:-1], rtol=0, atol=2e-2 * np.abs(lost).max())
+    np.testing.assert_allclose(np.linalg.eigvalsh(1j * sol.x[-1, 0]), np.linalg.eigvalsh(1j * x0[0]), atol=1e-12)
+    again = co.load(tmp_path / "run.zarr")
+    assert np.array_equal(again.x, sol.x)
+    assert again.system.forces[0].layer == 1
+    for size in (1e-7, 1e30):
+        forced = s.with_forces(co.forces.Friction(0.7 * size, layer=1))
+        moving = s.planetary + (x0 - s.planetary)
+        fast = co.integrate(
+            S.layered_qg(9, s.gamma, s.thicknesses, rotation=size * s.rotation).with_forces(*forced.forces),
+            size * moving, (0, 1 / size), 0.05 / size, co.IsospectralGauss(),
+        )  # fmt: skip
+        np.testing.assert_allclose(fast.x[-1] / size, sol.x[5], rtol=0, atol=1e-10)
+
+
+def test_bottom_drag_in_the_instability_of_phillips():
+    """Two layers in solid rotations of their own, kept against the drag of the lower one by a torque."""
+    omega, Omega, F, l, m, r = np.array([0.6, 0.0]), 0.25, np.array([12.0, 6.0]), 3, 2, 0.3
+    gamma = np.array([[F[0], -F[0]], [-F[1], F[1]]])
+    s = S.layered_qg(8, gamma, 1 / F, rotation=Omega)
+    current = s.absolute([s.fluid.from_modes({(1, 0): 2 * w * np.sqrt(4 * np.pi / 3)}) for w in omega])
+    B = 2 * omega + gamma @ omega + 2 * Omega
+    inverse = np.linalg.inv(l * (l + 1) * np.eye(2) + gamma)  # psi = -inverse q
+    drag = np.diag([0.0, r]) * l * (l + 1) @ inverse
+    M = -1j * m * (np.diag(omega) - np.diag(B) @ inverse) - drag
+    assert np.abs(np.linalg.eigvals(M).real).max() > 0.1
+    small = 1e-6 * np.array([1.0, 0.5 - 0.3j])
+    x0 = current + np.stack([s.fluid.from_modes({(l, m): c}) for c in small])
+    forced = s.with_forces(co.forces.Friction(r, layer=1))
+    sol = co.integrate(forced, x0, (0, 8), 1 / 128, SIXTH, save_every=128)
+    found = s.fluid.mode_array(sol.x - s.planetary)[:, :, l, m]
+    wanted = np.stack([expm(t * M) @ small for t in sol.t])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+
+
+@pytest.mark.filterwarnings("ignore:the step")  # of the smallest eddies
+def test_a_heated_current_over_a_rough_bottom_becomes_statistically_steady():
+    """Relaxed to an unstable current, with bottom drag: the energies of later halves agree, and eddies remain."""
+    F = 20.0
+    s = S.layered_qg(12, [[F, -F], [-F, F]], rotation=1.0)
+    current = s.absolute([s.fluid.from_modes({(1, 0): 2.5}), np.zeros((12, 12))])
+    x0 = current + 0.05 * (start_of(s, 3) - s.planetary)
+    damped = s.with_forces(
+        co.forces.LinearDamping(0.1, toward=current),
+        co.forces.Friction(0.5, layer=1),
+        co.forces.Viscosity(1e-7, power=4),
+    )
+    sol = co.integrate(damped, x0, (0, 300), 0.05, co.IsospectralGauss(), save_every=20)
+    V = s.fluid.mode_array(s.relative(sol.x), absolute=True)
+    eddies = np.sum(np.abs(V[..., 1:]) ** 2, axis=(1, 2, 3))
+    early, late = eddies[100:200], eddies[200:300]
+    assert eddies[-1] > 0.05 * np.sum(np.abs(V[0, ..., 0]) ** 2)
+    assert early.mean() == pytest.approx(late.mean(), rel=0.3)
+    assert sol.energy[100:].max() < 2.0 * sol.energy[100:].mean()
+
+
 def test_random_forcing_of_a_layer_has_its_rate_of_energy():
     s = FLOWS["three layers"]
     forced = s.with_forces(co.forces.RandomForcing(0.5, (2, 3), seed=3, layer=1))
@@ -344,8 +449,12 @@ def test_what_is_refused():
     with refused(ValueError, "layer is 1", "sphere_euler"):
         s.fluid.with_forces(some.RandomForcing(0.5, (2, 3), seed=3, layer=1))
     for force in (some.Friction, some.Viscosity):
-        with refused(ValueError, "is 1", "all layers", "interface"):
-            force(0.1, layer=1)
+        with refused(ValueError, "layer is 1", "lamb", "gamma"):
+            FLOWS["of latitude"].with_forces(force(0.1, layer=1))
+        with refused(ValueError, "layer is 2", "0 to 1"):
+            s.with_forces(force(0.1, layer=2))
+        with refused(ValueError, "layer is 1", "sphere_euler"):
+            s.fluid.with_forces(force(0.1, layer=1))
     with refused(ValueError, "(9, 9)", "(2, 9, 9)"):
         co.integrate(s, s.fluid.random(1), (0, 1), 0.1, co.IsospectralGauss())
     with refused(ValueError, "torus", "Rossby"):

@@ -22,7 +22,7 @@ from coadjoint.runs.results.solution_attributes import are_rotations, rotations_
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import differing_numbers
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD, VELOCITIES
+from coadjoint.systems.matrices.labelled_fields import VELOCITIES
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -302,18 +302,22 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     two = solution.x.ndim == len(dims) + 3 and not layered
     dims = (*dims, "layer") if layered else dims
     if two:
-        shown = {"carried": (CARRIED_FIELD, fluid.matrices, 0.0), **shown}
+        carried, long_name = system.carried_field
+        shown = {carried: (long_name, fluid.matrices, 0.0), **shown}
     size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(shown)
     if grid is None and size > MAX_DEFAULT_BYTES:
         return {}, {}
     axes = ("latitude", "longitude") if on_sphere else ("eastward", "northward")
     found: Variables = {}
     for name, (long_name, matrices_of, mean) in shown.items():
-        W = solution.x[..., int(name != "carried"), :, :] if two else solution.x
-        values = _on_grid(matrices_of(owner.matrices(W)), lambda finite: fluid.to_grid(finite, shape, absolute=True))
+        if two:
+            W = solution.x[..., 0, :, :] if name == carried else system.fluid_state(solution.x)
+        else:
+            W = owner.matrices(solution.x)
+        values = _on_grid(matrices_of(W), lambda finite: fluid.to_grid(finite, shape, absolute=True))
         found[name] = ((*dims, *axes), values + mean, cf_attributes(long_name))
     if grid is not None:
-        W = system.relative(solution.x) if layered else fluid.matrices(solution.x[..., 1, :, :] if two else solution.x)
+        W = system.relative(solution.x) if layered else system.fluid_state(solution.x)
         both = _on_grid(W, lambda finite: np.stack(fluid.velocity(finite, shape), axis=1))
         for k, (name, (long_name, _)) in enumerate(VELOCITIES.items()):
             found[name] = ((*dims, *axes), both[..., k, :, :], cf_attributes(long_name))
@@ -332,7 +336,7 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
     fluid = _fluid_of(solution.system)
     system: Any = solution.system
     shown = () if fluid is None else (system.unforced if system.unforced.independent_layers else fluid).shown_fields
-    names = (*shown, *VELOCITIES, "carried", "latitude", "longitude", "eastward", "northward")
+    names = (*shown, *VELOCITIES, "carried", "buoyancy", "latitude", "longitude", "eastward", "northward")
     rest = dataset.drop_vars(names, errors="ignore")
     found, coordinates = vorticity_variables(solution, grid)
     of_run = xarray.Dataset(found, coordinates, dict(dataset.attrs))

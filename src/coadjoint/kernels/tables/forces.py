@@ -198,14 +198,17 @@ class _ForceTableBuilder:
         return self._table("BY_FLOW", periods, sets=len(noises), direction=direction, extent=count)
 
     def mode_rates(
-        self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layers: range
+        self, modes: Any, numbers: Any, rates: Any, changes: Any, rest: NDArray[Any] | None, buoyancy: Any
     ) -> ForceTable:
         flat = np.concatenate(rates).astype(np.complex128)
-        aim = NO_NUMBERS if target is None else target
-        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(target is not None)}
-        real = np.ascontiguousarray(flat.real)
-        table = self._on_modes("MODE_RATES", modes, layers.start, numbers, real, aim, **more)
-        return table._replace(function=np.array([len(layers)], dtype=np.int64))
+        aim = NO_NUMBERS if rest is None else rest
+        if buoyancy is not None:
+            aim = np.concatenate([np.zeros(self.n) if rest is None else rest, buoyancy.table])
+        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(aim is not NO_NUMBERS)}
+        weights = [np.concatenate(change.weights) for change in changes]
+        table = self._on_modes("MODE_RATES", modes, 0, numbers, np.concatenate([flat.real, *weights]), aim, **more)
+        layers = [layer for change in changes for layer in (change.changed, change.read)]
+        return table._replace(function=np.array([len(changes), int(buoyancy is not None), *layers], dtype=np.int64))
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
         flat = np.concatenate(amplitudes)

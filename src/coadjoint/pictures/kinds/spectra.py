@@ -37,16 +37,10 @@ def fluid_of(drawn: PlottedRun) -> FluidSystem:
     return found
 
 
-def vorticity_of(state: Any) -> npt.NDArray[Any]:
-    """Return the vorticity matrix: the state, or the second of two fields."""
-    W = np.asarray(state)
-    return W[1] if W.ndim == 3 else W
-
-
 def spectrum_of(system: Any, spectrum: Callable[[Any], Any], state: Any) -> tuple[Floats, Floats]:
     """Return scales and the spectrum of a vorticity, summed over layers of a fluid by their thicknesses."""
     if not system.independent_layers:
-        scales, values = spectrum(vorticity_of(state))
+        scales, values = spectrum(system.fluid_state(state))
     else:
         scales, of_layers = spectrum(system.relative(state))
         values = system.thicknesses @ of_layers

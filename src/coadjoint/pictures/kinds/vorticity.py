@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.curves import VIEW, Globe, at_one_time, unit_vectors, view_frame
-from coadjoint.pictures.kinds.spectra import fluid_of, vorticity_of
+from coadjoint.pictures.kinds.spectra import fluid_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness
@@ -124,7 +124,7 @@ def part_on_grid(system: Any, fluid: FluidSystem, state: Any, part: str, layer: 
     if part == "carried":
         # Of constant spectrum: the first of two fields.
         return fluid.to_grid(np.asarray(state)[0], shape, absolute=True)
-    W = vorticity_of(state)
+    W = system.fluid_state(state)
     if part == "potential":
         _, matrices_of, mean = fluid.shown_fields["potential_vorticity"]
         return np.asarray(fluid.to_grid(matrices_of(W), shape, absolute=True) + mean)

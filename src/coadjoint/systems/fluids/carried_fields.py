@@ -15,6 +15,7 @@ from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD
 from coadjoint.systems.matrices.matrix_invariants import traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS
 from coadjoint.systems.matrices.stacked_system import StackedSystem
@@ -95,11 +96,16 @@ class TwoLayerSystem(StackedSystem):
             self._check_stream(self.second_stream)
 
     layer_names = "the carried field and the vorticity"
+    carried_field: tuple[str, str] = "carried", CARRIED_FIELD
+    """Name and long name of the carried field in datasets."""
     _fluid: Any = None
 
     @property
     def fluid(self) -> Any:
         return self._fluid
+
+    def fluid_state(self, x: Any) -> Matrix:
+        return self.matrices(x)[..., 1, :, :]
 
     def relative(self, x: Any) -> Matrix:
         """Return the carried field and the vorticity relative to the frame, of states (..., 2, N, N)."""
@@ -117,7 +123,7 @@ class TwoLayerSystem(StackedSystem):
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return the energy of states (..., 2, N, N), that of the motion relative to the frame."""
-        return super().energy(x, t) if self.linear is None else self._fluid.energy(self.matrices(x)[..., 1, :, :], t)
+        return super().energy(x, t) if self.linear is None else self._fluid.energy(self.fluid_state(x), t)
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:

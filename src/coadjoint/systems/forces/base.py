@@ -105,8 +105,10 @@ class ForceReader(Protocol):
     def flow(self, function: Callable[..., Any], noises: Sequence[SampleNoise] = ()) -> Any:
         """Register a flow, a function of (x, t, tau), and with noises also of the deviates of all."""
 
-    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layers: range) -> Any:
-        """Register c' = -rate (c - c of `still`) for modes of a matrix; lists over diagonals."""
+    def mode_rates(
+        self, modes: Any, numbers: Any, rates: Any, changes: Any, rest: NDArray[Any] | None, buoyancy: Any
+    ) -> Any:
+        """Register c' = -rate (c - c of `rest`) for modes of matrices, by `LayerChange`; lists over diagonals."""
 
     def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
@@ -215,6 +217,10 @@ class Force(Abstract):
 
     def preserves_poisson(self, system: Any) -> bool:
         """Whether its flow on a system is a Poisson map."""
+        return False
+
+    def preserves_energy(self, system: Any) -> bool:
+        """Whether its flow on a system preserves the energy, to round-off."""
         return False
 
     def _needs_energy(self, system: Any) -> bool:

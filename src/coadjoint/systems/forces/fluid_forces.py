@@ -23,7 +23,6 @@ from coadjoint.systems.forces.mode_force import (
     layer_vector,
     modes_of,
     noise_matrix,
-    read_field,
     read_layer,
 )
 from coadjoint.systems.matrices.torus_modes import representatives
@@ -48,9 +47,11 @@ class Friction(ModeRates):
         Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
         ``|n|`` on the torus.
         A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
-    layer : {"vorticity", "carried"}
-        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` all layers alike, of which
-        the energy then falls. (In one layer alone it would act on the potential vorticity and move the interface.)
+    layer : {"vorticity", "carried"} or int
+        The field on which it acts, "vorticity" if the state is one matrix, or in a `layered_qg` the potential vorticity
+        of all layers alike. The number of a layer, from 0, is the drag of that layer on its **relative** vorticity,
+        ``q_k' = -rate Laplacian psi_k``, such as the bottom friction of the lowest one (of a coupling by `gamma`).
+        Either way the energy falls.
 
     Raises
     ------
@@ -66,7 +67,7 @@ class Friction(ModeRates):
     """
 
     rate: float | Callable[[Any], Any]
-    layer: str = "vorticity"
+    layer: str | int = "vorticity"
 
     example: ClassVar = {"rate": 0.2}
 
@@ -75,7 +76,7 @@ class Friction(ModeRates):
             check_arguments(self.rate, "rate of Friction", "scale")
         else:
             self._read(rate=read_number)
-        self._read(layer=read_field)
+        self._read(layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         rate, scales = self.rate, modes.scales(d, numbers)
@@ -108,9 +109,8 @@ class Viscosity(ModeRates):
         1 for viscosity, 2 to 32 for hyperviscosity.
     rotation : bool
         On the sphere: whether solid rotations decay as well.
-    layer : {"vorticity", "carried"}
-        The field on which it acts, "vorticity" if the state is one matrix; of a `layered_qg` all layers alike, of which
-        the energy then falls. (In one layer alone it would act on the potential vorticity and move the interface.)
+    layer : {"vorticity", "carried"} or int
+        As for `Friction`; the number of a layer of a `layered_qg` is viscosity on its relative vorticity.
 
     Raises
     ------
@@ -142,13 +142,13 @@ class Viscosity(ModeRates):
     nu: float
     power: int = 1
     rotation: bool = False
-    layer: str = "vorticity"
+    layer: str | int = "vorticity"
 
     example: ClassVar = {"nu": 0.02}
 
     def __post_init__(self) -> None:
         power = partial(read_integer, minimum=1, maximum=MAX_POWER)
-        self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_field)
+        self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer != "carried" else 0.0
@@ -214,6 +214,10 @@ class BetaPlane(ModeRates):
                 f"BetaPlane acts on a fluid of one layer, and {system.name} has layers; take them on the sphere, with "
                 "rotation="
             )
+
+    def preserves_energy(self, system: Any) -> bool:
+        """Whether the energy is preserved: the phases of modes turn, and it depends on their sizes."""
+        return True
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return 1j * self.beta * representatives(modes.N)[numbers] * modes.stream.on_modes(modes, d, numbers)
@@ -297,7 +301,7 @@ class RandomForcing(Force):
         stream = system.stream if self.layer != "carried" else system.second_stream
         if system.independent_layers:
             stream = stream.of_layer(index)
-        if stream is None:
+        if stream is None or stream is system.buoyancy:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
         waves, components = modes.kind == Waves.kind, 0
         for d in range(modes.diagonals):

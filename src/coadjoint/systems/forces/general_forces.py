@@ -96,6 +96,10 @@ class LinearDamping(Force):
                 "each coordinate, or a Pointing damper with a matrix"
             )
         check_state(self.toward, "toward of LinearDamping", system)
+        if system.has_matrices and system.buoyancy is not None:
+            raise ValueError(
+                f"LinearDamping would act on the vorticity of {system.name} with a part of the buoyancy; take Friction"
+            )
 
     def _in_turning_frame(self, system: Any) -> bool:
         return system.frame_rate is not None and np.ndim(self.toward) == 0 and self.toward == 0.0

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -216,16 +216,6 @@ def modes_of(system: Any, what: str) -> ModeBasis:
     return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N, system.stream)
 
 
-def read_field(value: Any, what: str) -> str:
-    """Validate the name of a field on which rates of modes act; layers have them alike."""
-    if is_integer(value):
-        raise ValueError(
-            f"{what} is {value}; friction and viscosity act on all layers of a flow: in one alone they would act on "
-            f"the potential vorticity, move the interface and add energy; leave it out"
-        )
-    return read_choice(value, what, LAYERS)
-
-
 def read_layer(value: Any, what: str) -> str | int:
     """Validate the name of a field, or the number of a layer."""
     if is_integer(value):
@@ -240,40 +230,63 @@ def layer_vector(system: Any, layer: str | int, W: npt.NDArray[Any]) -> npt.NDAr
     return np.asarray(system.to_vector(state))
 
 
+class LayerChange(NamedTuple):
+    """A matrix of a state that changes by the modes of one that is read, times a weight of each mode, by diagonal."""
+
+    changed: int
+    read: int
+    weights: PerMode
+
+
 class ModeRates(Force):
     """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase."""
 
     # c is the mode of the state without that at rest: on a rotating sphere, whose state is the absolute vorticity, of
-    # the relative vorticity; in a quasi-geostrophic flow of the potential vorticity without its planetary term.
+    # the relative vorticity; in a quasi-geostrophic flow of the potential vorticity without its planetary term; of one
+    # layer among several of the relative vorticity, c_k' = -rate zeta_k with zeta_k = -eigenvalue psi_k.
 
-    layer: str
+    layer: str | int
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> npt.NDArray[Any]:
         """Return the real or complex rates, (k,), of the modes `numbers`, (k,), of diagonal d."""
 
     def check(self, system: Any) -> None:
-        self._selected_modes(modes_of(system, self.label))
-        self._layers(system)
+        self._selected_modes(system, modes_of(system, self.label))
 
-    def _layers(self, system: Any) -> range:
-        """Return the indices of the matrices on which the force acts: all layers of a fluid, or one of two fields."""
-        if not system.independent_layers:
-            first = layer_index(system, self.layer)
-            return range(first, first + 1)
-        if self.layer != "vorticity":
-            raise ValueError(f"layer is {self.layer!r}; {system.name} has no carried field; leave layer= out")
-        return range(system.matrix_shape[0])
-
-    def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
-        """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
-        numbers, rates = [], []
+    def _selected_modes(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode, list[LayerChange]]:
+        """Return the numbers of the modes with nonzero rates, and these rates, by diagonal; and the changes."""
+        layered, layer = system.independent_layers, self.layer
+        if layered and layer == "carried":
+            raise ValueError(f"layer is {layer!r}; {system.name} has no carried field; leave layer= out")
+        changed = range(system.matrix_shape[0])
+        if not layered or is_integer(layer):
+            first = layer_index(system, layer)
+            changed = range(first, first + 1)
+        alone = layered and len(changed) == 1
+        if alone and system.stream.couples_modes:
+            raise ValueError(
+                f"layer is {layer}; {self.label} of one layer acts on its relative vorticity, of which lamb of "
+                f"{system.name} couples the degrees; take a coupling by gamma, or leave layer= out"
+            )
+        numbers, rates, induced = [], [], []
         for d in range(modes.diagonals):
             all_numbers = modes.numbers(d)
             all_rates = self.rates(modes, d, all_numbers)
+            if alone:
+                # psi_k is the sum of induction q_j, so that q_k relaxes at the rate of its own.
+                induction = system.stream.induction(changed[0], modes, d, all_numbers)
+                own = induction[changed[0]]
+                all_rates = -all_rates * modes.eigenvalues(d, all_numbers) * own
+                induced.append((induction / own)[:, all_rates != 0.0])
             numbers.append(all_numbers[all_rates != 0.0])
             rates.append(all_rates[all_rates != 0.0])
-        return numbers, rates
+        if not alone:
+            ones = [np.ones(len(of_diagonal)) for of_diagonal in numbers]
+            return numbers, rates, [LayerChange(k, k, ones) for k in changed]
+        k = changed[0]
+        read = (k, *(j for j in range(system.matrix_shape[0]) if j != k))  # before it is changed
+        return numbers, rates, [LayerChange(k, j, [weights[j] for weights in induced]) for j in read]
 
     def _scale_modes(
         self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
@@ -285,16 +298,18 @@ class ModeRates(Force):
         self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
     ) -> npt.NDArray[Any]:
         modes = modes_of(system, self.label)
-        selected, rates = self._selected_modes(modes)
+        selected, rates, changes = self._selected_modes(system, modes)
         state = np.asarray(system.from_vector(x))
         given = state if state.ndim == 3 else state[None]
+        given = given if system.buoyancy is None else system.buoyancy.separated(given)
         change = np.zeros_like(given)
-        for k in self._layers(system):
+        for changed, read, weights in changes:
             coefficients = [
-                factor(rate) * modes.coefficients(given[k], d, numbers)
-                for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
+                factor(rate) * weight * modes.coefficients(given[read], d, numbers)
+                for d, (numbers, rate, weight) in enumerate(zip(selected, rates, weights, strict=True))
             ]
-            change[k] = modes.matrix(coefficients, selected)
+            change[changed] += modes.matrix(coefficients, selected)
+        change = change if system.buoyancy is None else system.buoyancy.joined(change)
         return np.asarray(system.to_vector(change.reshape(state.shape)))
 
     def field(self, system: Any, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
@@ -309,11 +324,7 @@ class ModeRates(Force):
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        rest, layers = rest_of(system), self._layers(system)
-        if rest is not None:
-            matrices = np.asarray(system.from_vector(rest)).reshape(-1, *system.matrix_shape[-2:])
-            rest = np.ascontiguousarray(matrices[layers.start : layers.stop]).view(np.float64).ravel()
-        return reader.mode_rates(modes, *self._selected_modes(modes), rest, layers)
+        return reader.mode_rates(modes, *self._selected_modes(system, modes), rest_of(system), system.buoyancy)
 
 
 @lru_cache(maxsize=4)

@@ -102,6 +102,10 @@ class SelectiveDecay(Force):
     def __post_init__(self) -> None:
         self._read(rate=read_nonnegative)
 
+    def preserves_energy(self, system: Any) -> bool:
+        """Whether the energy is quadratic, which the midpoint rule preserves."""
+        return bool(system.linear_stream if system.has_matrices else system.has_quadratic_energy)
+
     def check(self, system: Any) -> None:
         name = self.label
         if system.has_matrices:

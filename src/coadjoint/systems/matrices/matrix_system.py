@@ -24,7 +24,7 @@ from coadjoint.systems.matrices.matrix_invariants import (
     traces_of,
     values_of,
 )
-from coadjoint.systems.matrices.streams import Stream, as_stream
+from coadjoint.systems.matrices.streams import BuoyancyFactors, Stream, as_stream
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
 from coadjoint.validation import (
@@ -106,6 +106,8 @@ class MatrixSystem(Immutable, System):
     shape: tuple[int, ...] = ()
     has_matrices = True
     second_stream: Stream | None = None
+    buoyancy: BuoyancyFactors | None = None
+    """How a carried field adds to the vorticity."""
     energy_parameters: tuple[str, ...] | None = None
     """Parameters on which only the energy depends, each of whose numbers may change; by default all real numbers."""
     independent_layers = False
@@ -170,6 +172,10 @@ class MatrixSystem(Immutable, System):
     def fluid(self) -> Any:
         """The ideal fluid on a surface whose vorticity is the state, or the second of two fields; None by default."""
         return None
+
+    def fluid_state(self, x: Any) -> Matrix:
+        """Return the states of `fluid`, (..., N, N), of states."""
+        return self.matrices(x)
 
     @property
     def energy_factor(self) -> float:

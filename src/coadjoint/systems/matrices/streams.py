@@ -372,22 +372,75 @@ class LayeredStream:
         changed = np.stack([function(mode) for function, mode in zip(functions, V, strict=True)])
         return np.einsum("lm,m...ij->...lij", self.to_layers, changed)
 
+    @property
+    def couples_modes(self) -> bool:
+        """Whether a stream is not diagonal on the modes of diagonals."""
+        return any(isinstance(one, ScreenedSolve) and one.screening[1].any() for one in self.of_modes)
+
+    def induction(self, layer: int, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the streams that modes of a diagonal induce in a layer, of each layer, (layers, modes)."""
+        values = np.array([one.on_modes(modes, d, numbers) for one in self.of_modes])
+        return np.asarray(self.to_modes.T @ (self.to_layers[layer][:, None] * values))
+
     def of_layer(self, layer: int) -> SelfInduction:
         """Return the map of a layer to its own stream, times its weight, for the energy of its modes."""
-        shares = self.weights[layer] * self.to_layers[layer] * self.to_modes[:, layer]
-        return SelfInduction(self, shares)
+        return SelfInduction(self, layer)
 
 
 class SelfInduction(NamedTuple):
     """The stream that a layer induces in itself, on the modes of its diagonals."""
 
     stream: LayeredStream
-    shares: Floats
+    layer: int
 
     def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
         """Return the diagonal elements between modes of a diagonal."""
-        values = [one.on_modes(modes, d, numbers) for one in self.stream.of_modes]
-        return np.asarray(sum(share * value for share, value in zip(self.shares, values, strict=True)))
+        k = self.layer
+        return np.asarray(self.stream.weights[k] * self.stream.induction(k, modes, d, numbers)[k])
+
+
+@dataclass(frozen=True, eq=False)
+class BuoyancyFactors:
+    """How a buoyancy b adds to a potential vorticity, W = q + B b entry by entry, and the vorticity acts on it by -B P.
+
+    Parameters
+    ----------
+    factors : (N, N)
+        B, symmetric.
+    """
+
+    # b and B P are taken without their means, so that the map of b is the transpose of that of P.
+
+    factors: Floats
+    kind = "THERMAL"
+
+    @property
+    def table(self) -> Floats:
+        """Numbers for the kernels."""
+        return self.factors.ravel()
+
+    def __call__(self, b: Matrix) -> Matrix:
+        return self.factors * _without_mean(b)
+
+    def separated(self, x: Matrix) -> Matrix:
+        """Return the buoyancy and the potential vorticity q of states (..., 2, N, N)."""
+        b = x[..., 0, :, :]
+        return np.stack([b, _without_mean(x[..., 1, :, :] - self(b))], axis=-3)
+
+    def joined(self, fields: Matrix) -> Matrix:
+        """Return states of a buoyancy and a potential vorticity; inverse of `separated`."""
+        b = fields[..., 0, :, :]
+        return np.stack([b, _without_mean(fields[..., 1, :, :] + self(b))], axis=-3)
+
+    def stream_of_buoyancy(self, P: Matrix) -> Matrix:
+        """Return the derivative J of the energy by b."""
+        return -_without_mean(self.factors * P)
+
+
+def _without_mean(W: Matrix) -> Matrix:
+    """Return matrices (..., N, N) without their trace."""
+    N = W.shape[-1]
+    return np.asarray(W - np.trace(W, axis1=-2, axis2=-1)[..., None, None] / N * np.eye(N))
 
 
 @dataclass(frozen=True, eq=False)

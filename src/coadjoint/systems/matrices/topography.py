@@ -32,45 +32,46 @@ FORMS = (
 )
 
 
-def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height") -> Floats:
+def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height", what: str = "topography") -> Floats:
     """Return the modes of a topography, relative to the depth, as rows: two numbers, real and imaginary part, (k, 4).
 
-    `surface` is a fluid without rotation on the same surface and of the same N, which converts fields.
+    `surface` is a fluid without rotation on the same surface and of the same N, which converts fields; `what` names the
+    argument.
     """
     if isinstance(given, Mapping):
         return _rows(surface.read_modes(given), surface)
     if callable(given) and not is_xarray(given):
-        given = _values_of(given, surface)
+        given = _values_of(given, surface, what)
     elif isinstance(given, str | Path):
         given = read_field(given, surface.surface, None, None)
     if is_xarray(given):
         if units_of(given) not in WITHOUT_UNITS:
             raise ValueError(
-                f"topography has the units {units_of(given)}; give the height divided by the mean depth of the fluid, "
+                f"{what} has the units {units_of(given)}; give the height divided by the mean depth of the fluid, "
                 "as RotatingPlanet.without_units returns it from metres"
             )
-        values, first, second, _ = labelled_field(given, surface.surface, str(given.name or "topography"))
+        values, first, second, _ = labelled_field(given, surface.surface, str(given.name or what))
         if values.ndim != 2:
-            raise ValueError(f"topography has the shape {values.shape}; select one field over the two coordinates")
-        return _checked(values, surface.modes_with_mean(values, first, second), surface, quantity)
-    values = read_numbers(to_array(given, "topography"), "topography")
+            raise ValueError(f"{what} has the shape {values.shape}; select one field over the two coordinates")
+        return _checked(values, surface.modes_with_mean(values, first, second), surface, quantity, what)
+    values = read_numbers(to_array(given, what), what)
     if values.ndim == 2 and values.shape[1] == 4:
         whole = values[:, :2].astype(np.int64)
         if (whole != values[:, :2]).any():
-            raise ValueError(f"topography is {short(given)}; rows of modes begin with two whole numbers")
+            raise ValueError(f"{what} is {short(given)}; rows of modes begin with two whole numbers")
         modes = {(int(a), int(b)): complex(*row[2:]) for (a, b), row in zip(whole, values, strict=True)}
         if len(modes) < len(values):
-            raise ValueError("topography has a mode twice; give each once")
+            raise ValueError(f"{what} has a mode twice; give each once")
         return _rows(surface.read_modes(modes), surface)
     shape = tuple(map(len, surface.grid()))
     if values.shape != shape:
         raise ValueError(
-            f"topography has the shape {values.shape} and no coordinates; give {FORMS}, here of the shape {shape}"
+            f"{what} has the shape {values.shape} and no coordinates; give {FORMS}, here of the shape {shape}"
         )
-    return _checked(values, surface.modes_with_mean(values), surface, quantity)
+    return _checked(values, surface.modes_with_mean(values), surface, quantity, what)
 
 
-def _values_of(function: Callable[..., Any], surface: FluidSystem) -> Floats:
+def _values_of(function: Callable[..., Any], surface: FluidSystem, what: str) -> Floats:
     """Return the values of a function of two arrays of coordinates on the default grid."""
     first, second = surface.grid()
     mesh = np.meshgrid(first, second, indexing="ij")
@@ -78,22 +79,20 @@ def _values_of(function: Callable[..., Any], surface: FluidSystem) -> Floats:
         values = np.broadcast_to(np.asarray(function(*mesh), dtype=np.float64), mesh[0].shape)
     except (TypeError, ValueError) as reason:
         message = in_one_line(str(reason), 200)
-        raise TypeError(
-            f"topography is {short(function)}; it must take two arrays of coordinates ({message})"
-        ) from None
-    return np.array(read_finite(values, "the value of topography"))
+        raise TypeError(f"{what} is {short(function)}; it must take two arrays of coordinates ({message})") from None
+    return np.array(read_finite(values, f"the value of {what}"))
 
 
-def _checked(values: Floats, modes: Complexes, surface: FluidSystem, quantity: str) -> Floats:
+def _checked(values: Floats, modes: Complexes, surface: FluidSystem, quantity: str, what: str) -> Floats:
     """Return modes as rows; warn if the values are no fractions of a depth, or have a mean, which is dropped."""
     size = float(np.abs(values).max(initial=0.0))
     if quantity == "height" and size > 1.0:
         warn_caller(
-            f"topography reaches {size:g}; it is the height divided by the mean depth, and should be small", UserWarning
+            f"{what} reaches {size:g}; it is the height divided by the mean depth, and should be small", UserWarning
         )
     mean = float(modes[0, 0].real) * surface.mean_factor
     if abs(mean) > MEAN_TOLERANCE * size:
-        text = f"topography has the mean {mean:g}, which is dropped: heights are relative to the mean depth"
+        text = f"{what} has the mean {mean:g}, which is dropped: heights are relative to the mean depth"
         warn_caller(text, UserWarning)
     modes[0, 0] = 0.0
     return _rows(modes, surface)

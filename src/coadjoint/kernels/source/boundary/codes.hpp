@@ -47,10 +47,11 @@ namespace turns {
 CODES(Turn, TURNS)
 }  // namespace turns
 
-// How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function; or how several
-// matrices, the layers of a fluid, are mapped to theirs.
+// How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function; how several
+// matrices, the layers of a fluid, are mapped to theirs; or how a buoyancy adds to W, entry by entry.
 #define STREAMS(_) \
-    _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4) _(SYMMETRIC, 5) _(LAYERED, 6)
+    _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4) _(SYMMETRIC, 5) _(LAYERED, 6) \
+    _(THERMAL, 7)
 CODES(StreamKind, STREAMS)
 
 // Solution of the stages of a Runge-Kutta method.

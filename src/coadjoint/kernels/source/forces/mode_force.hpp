@@ -11,14 +11,37 @@ class ModeForce {
   public:
     explicit ModeForce(const ForceTable& table) : table(table), modes(table) {}
 
-    // c' = -(rate + i turning) c, exactly.
+    // c' = -(rate + i turning) c, exactly. `function` has the number of changes, one if a buoyancy adds to the vorticity,
+    // and a layer that is changed and one that is read for each change. `rate` has the rates, then for each change the
+    // weights of what is read. `aim` is the state at rest, if `sets` is one, then the factors of the buoyancy.
     void relax(double* x, double tau) {
         if (prepared_for != tau) prepare(tau);
-        const auto move = [&](int64_t e, const Complex& c) {
-            const double real = values[2 * e], imaginary = values[2 * e + 1];
-            return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
-        };
-        for (int64_t layer = 0; layer < table.function[0]; ++layer) modes.change(x, true, false, move, layer);
+        const int64_t square = modes.size() * modes.size(), count = modes.count();
+        Complex* const X = reinterpret_cast<Complex*>(x);
+        const Complex* rest = table.sets ? reinterpret_cast<const Complex*>(table.aim) : nullptr;
+        const double* const factors = table.function[1] ? table.aim + 4 * square : nullptr;
+        if (factors) {
+            before.assign(X, X + square);
+            at_rest.assign(rest, rest + 2 * square);
+            for (int64_t e = 0; e < square; ++e) at_rest[square + e] += factors[e] * X[e];
+            rest = at_rest.data();
+        }
+        for (int64_t k = 0; k < table.function[0]; ++k) {
+            const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
+            const double* const weights = table.rate + (1 + k) * count;
+            modes.change(X + changed, X + read, rest ? rest + read : nullptr, false, [&](int64_t e, const Complex& c) {
+                const double real = weights[e] * values[2 * e], imaginary = weights[e] * values[2 * e + 1];
+                return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
+            });
+        }
+        if (!factors) return;
+        Complex mean(0.0);
+        for (int64_t e = 0; e < square; ++e) {
+            const Complex added = factors[e] * (X[e] - before[e]);
+            X[square + e] += added;
+            if (e % (modes.size() + 1) == 0) mean += added / double(modes.size());
+        }
+        for (int64_t e = square; e < 2 * square; e += modes.size() + 1) X[e] -= mean;
     }
 
     // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its
@@ -36,7 +59,8 @@ class ModeForce {
     void add(const double* given, double tau, double* x) {
         const double whole = std::sqrt(tau), half = std::sqrt(0.5 * tau);
         const bool waves = table.shape == WAVES;
-        modes.change(x, false, waves, [&](int64_t e, const Complex&) {
+        Complex* const W = reinterpret_cast<Complex*>(x + table.position);
+        modes.change(W, nullptr, nullptr, waves, [&](int64_t e, const Complex&) {
             if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * given[2 * e]);
             return Complex(half * table.rate[e] * given[2 * e], half * table.rate[e] * given[2 * e + 1]);
         });
@@ -46,6 +70,7 @@ class ModeForce {
     const ForceTable& table;
     Modes modes;
     std::vector<double> values;
+    std::vector<Complex> before, at_rest;  // the buoyancy before a change, and the state at rest with its part
     double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `values` is computed
 
     // exp(-(rate + i turning) tau) - 1.

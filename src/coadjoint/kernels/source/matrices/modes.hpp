@@ -29,23 +29,22 @@ class Modes {
         }
     }
 
+    int64_t size() const { return n; }
     int64_t count() const { return table.begin[diagonals]; }
 
-    // Add to W its modes times `move(e, c)` of their indices e in the table and their coefficients c, which are
-    // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`. Threads of this
-    // member share a few diagonals after the other.
+    // Add to W its modes times `move(e, c)` of their indices e in the table and their coefficients c, which are those of
+    // `from` without `rest`, or zero if it is null. On the main diagonal waves of opposite numbers are combined if
+    // `paired`. Threads of this member share a few diagonals after the other.
     template <class Move>
-    void change(double* x, bool read, bool paired, Move move, int64_t layer = 0) {
-        const int64_t skipped = layer * 2 * n * n;
-        Complex* const W = reinterpret_cast<Complex*>(x + table.position + skipped);
-        aim = table.sets ? reinterpret_cast<const Complex*>(table.aim + skipped) : nullptr;
+    void change(Complex* W, const Complex* from, const Complex* rest, bool paired, Move move) {
+        aim = rest;
         for (int64_t begin = 0; begin < diagonals; begin += TOGETHER) {
             const int64_t end = std::min(diagonals, begin + TOGETHER);
             int64_t work = 0;
             for (int64_t d = begin; d < end; ++d) work += work_of(d);
             InterruptCheck::of_this_call().after(work);
             share_with_copies(memory, end - begin, [&](Memory& own, int64_t d) {
-                change(W, begin + d, read, paired, move, own);
+                change(W, from, begin + d, paired, move, own);
             });
         }
     }
@@ -68,7 +67,7 @@ class Modes {
     const int64_t diagonals;
     std::vector<const double*> harmonics;  // the first one of each diagonal
     Memory memory;
-    const Complex* aim = nullptr;  // the matrix at rest of the layer that is changed
+    const Complex* aim = nullptr;  // the matrix at rest of the layer that is read
 
     int64_t work_of(int64_t d) const {
         const int64_t count = table.begin[d + 1] - table.begin[d];
@@ -76,10 +75,10 @@ class Modes {
     }
 
     template <class Move>
-    void change(Complex* W, int64_t d, bool read, bool paired, Move move, Memory& own) const {
+    void change(Complex* W, const Complex* read, int64_t d, bool paired, Move move, Memory& own) const {
         const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
         if (from == to) return;
-        if (read) fold(W, d, length, own);
+        if (read) fold(read, d, length, own);
         std::fill(own.even.begin(), own.even.end(), 0.0);
         std::fill(own.odd.begin(), own.odd.end(), 0.0);
         if (waves) change_waves(d, from, to, read, move, own);
@@ -138,7 +137,7 @@ class Modes {
 
     // The change of a cyclic diagonal, by Fourier transforms: the phase of mode k advances by 2 k from entry to entry.
     template <class Move>
-    void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move, Memory& own) const {
+    void change_waves(int64_t d, int64_t from, int64_t to, const Complex* read, Move move, Memory& own) const {
         std::vector<Complex>& coefficients = own.coefficients;
         coefficients.assign(to - from, Complex(0.0));
         ComplexNumber<double>* x = own.fourier.input();

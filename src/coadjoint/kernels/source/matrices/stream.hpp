@@ -186,21 +186,27 @@ class LayeredMap {
 };
 
 // The stream of a state of one or two layers, X = Theta + eps W: Y = P + eps J, where P comes from W and J from Theta;
-// or of independent layers.
+// with a buoyancy Theta that adds B Theta to W, entry by entry, P comes from W - B Theta and J is -B P, of a Theta and a J
+// without their means; or of independent layers.
 template <class T>
 class Stream {
   public:
     // `whole`: the size, the layers, the kinds of the two maps, -1 for none, or LAYERED and that of the vertical modes,
     // whether a constant is added, and the address of a function. `numbers`: the constant, and the numbers that the maps
-    // read.
+    // read, of THERMAL the n x n factors B.
     Stream(const int64_t* whole, const double* numbers)
-        : n(whole[0]), layers(whole[1]), second(whole[3] >= 0 && !layered(whole)), direct(layered(whole)),
+        : n(whole[0]), layers(whole[1]), second(whole[3] >= 0 && whole[3] != THERMAL && !layered(whole)),
+          direct(layered(whole)),
           constant(whole[4] ? numbers : nullptr),
           function(whole[2] == BY_FUNCTION ? whole[5] : 0),
           all_layers(direct ? std::make_unique<LayeredMap<T>>(whole[3], n, layers, numbers + offset(whole)) : nullptr),
           first_map(whole[2], n, numbers + offset(whole)),
           second_map(second ? whole[3] : int64_t(BY_FUNCTION), n,
-                     numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)) {}
+                     numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)),
+          of_buoyancy(whole[3] == THERMAL && !direct
+                          ? numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)
+                          : nullptr),
+          vorticity(of_buoyancy ? n * n : 0) {}
 
     int64_t work() const {
         return direct ? all_layers->work() : first_map.work() + (second ? second_map.work() : 0);
@@ -242,6 +248,16 @@ class Stream {
     void apply_linear(const T* X, T* Y, bool upper = false) {
         const int64_t square = n * n;
         if (direct) return all_layers->apply(X, Y, upper);
+        if (of_buoyancy) {
+            const T mean = mean_of(X);
+            for (int64_t e = 0; e < square; ++e) vorticity[e] = X[square + e] - of_buoyancy[e] * X[e];
+            for (int64_t e = 0; e < square; e += n + 1) vorticity[e] += of_buoyancy[e] * mean;
+            first_map.apply(vorticity.data(), Y, upper);
+            for (int64_t e = 0; e < square; ++e) Y[square + e] = -(of_buoyancy[e] * Y[e]);
+            const T rest = mean_of(Y + square);
+            for (int64_t e = 0; e < square; e += n + 1) Y[square + e] -= rest;
+            return;
+        }
         first_map.apply(X + (layers - 1) * square, Y, upper);
         if (second) second_map.apply(X, Y + square, upper);
         else std::fill_n(Y + square, (layers - 1) * square, T(0.0));
@@ -259,6 +275,14 @@ class Stream {
     const int64_t function;  // its address, or 0
     const std::unique_ptr<LayeredMap<T>> all_layers;
     DiagonalMap<T> first_map, second_map;
+    const double* const of_buoyancy;
+    std::vector<T> vorticity;  // without that part
+
+    T mean_of(const T* W) const {
+        T sum(0.0);
+        for (int64_t e = 0; e < n * n; e += n + 1) sum += W[e];
+        return sum / double(n);
+    }
 
     static int64_t offset(const int64_t* whole) {
         return whole[4] ? whole[1] * whole[0] * whole[0] * int64_t(sizeof(T) / sizeof(double)) : 0;
