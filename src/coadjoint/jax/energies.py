@@ -14,7 +14,7 @@ from coadjoint.jax.primitives import doubles
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import parameters_of_function, without_multiples
-from coadjoint.validation import is_real
+from coadjoint.validation import is_of_torch, is_real
 
 NAME = "params"
 """The argument of a run with the parameters of its energy."""
@@ -36,8 +36,8 @@ class ParametrizedEnergy:
 
     def _arguments(self, function: Any) -> list[inspect.Parameter]:
         """Return the arguments of the energy: those of the function without params, which are the second one."""
-        if not callable(function) or _is_of_torch(function):
-            hint = "; a module of PyTorch is no function of JAX" if _is_of_torch(function) else ""
+        if not callable(function) or is_of_torch(function):
+            hint = "; a module of PyTorch is no function of JAX" if is_of_torch(function) else ""
             raise TypeError(f"{self.caller} was given {short(function)}{hint}; give a function H(x, params) of JAX")
         names = [one.name for one in parameters_of_function(function)]
         if names[:1] == ["params"] or len(names) not in self.counts:
@@ -93,7 +93,7 @@ def read_params(params: Any, owner: str) -> Any:
     """Return the parameters of an energy, a pytree, as arrays of float64; `owner` names them in messages."""
 
     def leaf(path: Any, one: Any) -> Any:
-        if _is_of_torch(one) or not (is_real(one) or hasattr(one, "dtype")):
+        if is_of_torch(one) or not (is_real(one) or hasattr(one, "dtype")):
             raise TypeError(
                 f"{_name(path)} of {owner} is {short(one)}; parameters are arrays of JAX or NumPy, in lists, "
                 "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"
@@ -105,7 +105,7 @@ def read_params(params: Any, owner: str) -> Any:
 
 def params_like(known: Any, params: Any, source: str) -> Any:
     """Return params of a call as arrays; raise an error unless they have the structure and shapes of known ones."""
-    found = read_params(params, NAME)
+    found = read_params(params, "the run")
     own, given = jax.tree.structure(known), jax.tree.structure(found)
     if own != given:
         raise ValueError(f"params have the structure {short(given)}; it must be {own}, {source}")
@@ -141,7 +141,3 @@ def function_of(term: Any) -> tuple[Any, float]:
 
 def _name(path: Any) -> str:
     return NAME + jax.tree_util.keystr(path)
-
-
-def _is_of_torch(value: Any) -> bool:
-    return any(kind.__module__.partition(".")[0] == "torch" for kind in type(value).__mro__)

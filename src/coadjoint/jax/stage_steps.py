@@ -127,6 +127,8 @@ class Steps(NamedTuple):
     finish: Callable[..., Any] = _unchanged
     functions: tuple[TracedFunction, ...] = ()
     """The functions of the user in the steps."""
+    undo: Callable[..., Any] | None = None
+    """The inverse of `step`, of the same arguments; None if it has none."""
 
 
 class CoadjointAction:
@@ -260,4 +262,8 @@ def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
         slopes = fixed_point(improved, jnp.zeros((len(times), len(x))), jnp.abs(x))
         return x + slopes.sum(axis=0), None
 
-    return Steps(lambda energy: energy, step, step, functions=field.functions)
+    def undo(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        return step(constants, state, t + h, -h, member)
+
+    is_symmetric = np.allclose(tableau.mix + tableau.mix[::-1, ::-1], 1.0, rtol=0.0, atol=2.0 * UNIT_ROUNDOFF)
+    return Steps(lambda energy: energy, step, step, functions=field.functions, undo=undo if is_symmetric else None)

@@ -40,6 +40,7 @@ class ParametrizedRun:
         caller: str,
         *,
         compiled: bool = True,
+        reverse: str = "exact",
     ) -> None:
         # If it is not `compiled`, the caller has its own derivatives and takes inputs and matrices.
         if type(prepared) is not PreparedRun:
@@ -65,6 +66,8 @@ class ParametrizedRun:
             check_partial_steps(prepared.system, moments, differentiated=True)
         if compiled:
             self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
+            self._run.check_reverse(reverse, times.h)
+        self._reverse = reverse
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)
@@ -205,7 +208,7 @@ class ParametrizedRun:
         key, last = _key(values), self._last_trajectory
         if last is not None and last[0] == key:
             return last[1]
-        trajectory = Trajectory(self._run_at(values), self._at(values), "exact")
+        trajectory = Trajectory(self._run_at(values), self._at(values), self._reverse)
         self._last_trajectory = key, trajectory
         return trajectory
 
