@@ -11,9 +11,10 @@ from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.differentiable_run import REVERSES
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.short_repr import short
+from coadjoint.runs.prepared_run import PreparedRun, prepared_of
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
 
@@ -82,9 +83,9 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     (4, 3)
     """
     require_packages("co.jax.energy", "jax")
-    from coadjoint.jax.energies import ParametrizedEnergy
+    from coadjoint.jax.energies import JaxEnergy
 
-    return Hamiltonian(ParametrizedEnergy(function, params))
+    return Hamiltonian(JaxEnergy(function, params))
 
 
 def features(function: Callable[..., Any], directions: Any, params: Any) -> Hamiltonian:
@@ -321,17 +322,11 @@ def solution(
         raise unknown_name("backend", backend, BACKENDS)
     undoes = read_choice(reverse, "reverse", REVERSES) == "reversible"
     require_packages("co.jax.solution", "jax")
-    from coadjoint.jax.energies import NAME, energy_of
     from coadjoint.jax.primitives import solve
     from coadjoint.jax.xla_run import XlaRun
 
-    if isinstance(ready, System):
-        if step is None:
-            raise TypeError(f"co.jax.solution was given {short(ready)} without a step; give step=, and method=")
-        ready = PreparedRun(ready, method, step)
-    elif method is not None or step is not None:
-        raise TypeError("co.jax.solution was given a step or a method for a prepared run, which has its own; omit them")
-    learned = type(ready) is PreparedRun and energy_of(ready.system) is not None
+    ready = prepared_of(ready, method, step, "co.jax.solution")
+    learned = type(ready) is PreparedRun and energy_of(ready.system, JaxFunction) is not None
     compute: Callable[..., Any]
     on_xla = learned if backend is None else backend == "xla"
     if on_xla:

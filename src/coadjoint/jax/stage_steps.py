@@ -15,14 +15,10 @@ from jax.ad_checkpoint import checkpoint_name
 
 from coadjoint.algebra.invariants.sampled_checks import SEED
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
-from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.numerics.solvers import LARGEST_CORRECTION, MOST_ITERATIONS, Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
-MOST_ITERATIONS = 50
-"""Most function iterations: an error that halves in each of them is then round-off."""
-# Largest last correction of a fixed point, relative to it, beyond round-off; one that has not converged is NaN.
-LARGEST_CORRECTION = 1e-13
 # Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
 TERMS, MOST_PARTS = 18, 4
 # Largest dimension in which closed forms of exponentials are looked for, and zero for them, relative to the terms.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energies import NAME, ParametrizedEnergy, energy_of, features_of, function_of
+from coadjoint.jax.energies import features_of
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
@@ -34,9 +34,10 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import with_group
-from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
+from coadjoint.systems.hamiltonians.parametrized_energy import NAME, ParametrizedEnergy, energy_of, function_of
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
 CALLER = 'co.jax.solution with backend="xla"'
@@ -60,7 +61,7 @@ class XlaRun:
         # Where it `undoes`, reverse mode takes the steps back from the saved states, without storing others.
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        inputs, self._function = prepared.inputs, energy_of(prepared.system)
+        inputs, self._function = prepared.inputs, energy_of(prepared.system, JaxFunction)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -97,7 +98,9 @@ class XlaRun:
         self._moments = times.at(np.arange(times.steps + 1)) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
         terms = first.hamiltonian.terms() if self._function is not None else ()
-        learned = [gradient_of(term) for term in terms if isinstance(function_of(term)[0], ParametrizedEnergy)]
+        learned = [
+            gradient_of(term) for term in terms if isinstance(function_of(term, JaxFunction)[0], ParametrizedEnergy)
+        ]
         self._derivatives = jax.jit(partial(_derivatives_at, learned, self._t0))
         self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 
@@ -146,16 +149,8 @@ class XlaRun:
             return
         rows = start.reshape(-1, start.shape[-1])
         with jax.ensure_compile_time_eval():
-            orders = [np.asarray(one) for one in self._derivatives(rows, params)]
-        for order, values in zip(("gradient", "second derivative"), orders, strict=True):
-            wrong = np.argwhere(~np.isfinite(values))
-            if len(wrong):
-                member, k = wrong[0].tolist()
-                of_member = f"[{member}]" if start.ndim > 1 else ""
-                raise ValueError(
-                    f"x0{of_member} is {short(rows[member].tolist(), 80)}, where a {order} of the energy given to "
-                    f"{self._function.caller} is {values[member, k]}; give an energy that is differentiable twice there"
-                )
+            derivatives = [np.asarray(one) for one in self._derivatives(rows, params)]
+        self._function.check_differentiable(start, derivatives)
 
     def _checked_attitude(self, attitude: Any) -> Any:
         """Return an attitude that is checked on the host when the traced program runs."""

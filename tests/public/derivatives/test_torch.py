@@ -25,7 +25,7 @@ def prepared(inertia=(1.0, 2.0, 2.5), **options):
 
 @pytest.fixture
 def g():
-    return co.torch.function(prepared(), SPAN, EVERY)
+    return co.torch.solution(prepared(), SPAN, EVERY)
 
 
 def variable(values):
@@ -59,14 +59,14 @@ def test_jvp_is_that_of_the_prepared_run(g):
 
 @pytest.mark.parametrize("x0", [X0, MANY], ids=["one", "ensemble"])
 def test_derivatives_agree_with_differences(x0):
-    g = co.torch.function(prepared(attitude=True), (0, 1), 20)
+    g = co.torch.solution(prepared(attitude=True), (0, 1), 20)
     arguments = variable(x0), variable(INERTIA)
     assert torch.autograd.gradcheck(lambda x0, inertia: g(x0, inertia=inertia), arguments, check_forward_ad=True)
 
 
 def test_attitude_is_returned_and_differentiated():
     ready = prepared(attitude=True)
-    g = co.torch.function(ready, SPAN, EVERY)
+    g = co.torch.solution(ready, SPAN, EVERY)
     turned = co.integrate(co.systems.rigid_body(inertia=INERTIA), X0, (0, 1), 0.1, attitude=True).attitude[-1]
     sol, pullback = ready.vjp(X0, SPAN, EVERY, attitude=turned)
     A0 = variable(turned)
@@ -98,7 +98,7 @@ def test_wrong_arguments_are_refused(g, x0, values, error, named):
 
 
 def test_parameters_by_position_are_refused(g):
-    with refused(TypeError, "co.torch.function", "2 arguments", "x0 alone", "inertia="):
+    with refused(TypeError, "co.torch.solution", "2 arguments", "x0 alone", "inertia="):
         g(X0, INERTIA)
 
 
