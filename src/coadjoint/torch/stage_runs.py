@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -190,7 +191,9 @@ class StageRun:
         """Return H(x, t), or the part of functions of PyTorch alone."""
         total = x.new_zeros(())
         if whole and len(self._monomials):
-            total = total + self._coefficients @ torch.cat([x, x.new_ones(1)])[self._monomials].prod(1)
+            padded = torch.cat([x, x.new_ones(1)])
+            factors = (padded[one] for one in self._monomials.T)  # torch.prod has no second derivatives in vmap
+            total = total + self._coefficients @ math.prod(factors)
         for term, function, factor in self._terms:
             y = x[int(term.coordinates[0])] if term.scalar else x[torch.from_numpy(np.array(term.coordinates))]
             total = total + factor * function.at(params, y, *((t,) if term.timed else ()))
