@@ -10,8 +10,8 @@ from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.differentiable_run import REVERSES
-from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.runs.prepared_run import PreparedRun, prepared_of
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction

@@ -59,13 +59,13 @@ SAVED = "fixed point"
 """Name of the fixed points that reverse mode stores in place of solving for them again."""
 
 
-def _iterated(function: Callable[[Any], Any], first: Any, size: Any) -> Any:
+def _iterated(function: Callable[[Any], Any], first: Any, size: Any, most: int) -> Any:
     """Return the limit of iterations from a first guess, NaN without one; entries have the round-off of `size` too."""
 
     def unfinished(carry: Any) -> Any:
         _, _, correction, previous, k = carry
         falling = (correction < previous) | (correction > LARGEST_CORRECTION)
-        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < MOST_ITERATIONS)
+        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < most)
 
     def improved(carry: Any) -> Any:
         z, _, correction, _, k = carry
@@ -78,17 +78,17 @@ def _iterated(function: Callable[[Any], Any], first: Any, size: Any) -> Any:
     return jnp.where(change <= allowed, z, jnp.nan)
 
 
-def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0) -> Any:
+def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0, most: int = MOST_ITERATIONS) -> Any:
     """Return z = function(z) by iterations from a first guess, differentiated as the solution of this equation."""
 
     def residual(z: Any) -> Any:
         return function(z) - z
 
     def solve(_: Any, z: Any) -> Any:
-        return _iterated(function, z, lax.stop_gradient(size))
+        return _iterated(function, z, lax.stop_gradient(size), most)
 
     def solve_linear(matrix: Callable[[Any], Any], b: Any) -> Any:
-        return _iterated(lambda z: matrix(z) + z - b, jnp.zeros_like(b), jnp.max(jnp.abs(b)))
+        return _iterated(lambda z: matrix(z) + z - b, jnp.zeros_like(b), jnp.max(jnp.abs(b)), most)
 
     def solve_tangent(matrix: Callable[[Any], Any], b: Any) -> Any:
         return lax.custom_linear_solve(matrix, b, solve_linear, solve_linear)

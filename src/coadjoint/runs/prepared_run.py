@@ -698,14 +698,3 @@ class PreparedRun(Immutable):
         if moments is not None:
             resample(run, moments)
         return run.solution(observed)
-
-
-def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
-    """Return a prepared run, or that of a system with a method and a step; `caller` is the function that takes both."""
-    if isinstance(ready, System):
-        if step is None:
-            raise TypeError(f"{caller} was given {short(ready)} without a step; give step=, and method=")
-        return PreparedRun(ready, method, step)
-    if method is not None or step is not None:
-        raise TypeError(f"{caller} was given a step or a method for a prepared run, which has its own; omit them")
-    return cast(PreparedRun, ready)

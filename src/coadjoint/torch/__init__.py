@@ -9,8 +9,8 @@ from typing import Any
 from coadjoint.errors import refuse_others
 from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
-from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.runs.prepared_run import PreparedRun, prepared_of
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
 from coadjoint.systems.system import System

@@ -45,10 +45,8 @@ class TorchEnergy(ParametrizedEnergy):
 
     def at(self, params: Any, x: Any, *time: Any) -> Any:
         found = self.function(x, params, *time)
-        if not isinstance(found, torch.Tensor) or found.numel() != 1 or found.dtype != torch.float64:
-            given = (
-                f"{found.dtype} of the shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else short(found)
-            )
+        if not torch.is_tensor(found) or found.numel() != 1 or found.dtype != torch.float64:
+            given = f"{found.dtype} of the shape {tuple(found.shape)}" if torch.is_tensor(found) else short(found)
             raise TypeError(f"the energy given to {self.caller} returns {given}; it must return one number of float64")
         return found.reshape(())
 
@@ -114,7 +112,7 @@ class TorchFunction:
 
 def double(name: str, value: Any) -> Any:
     """Convert numbers to a tensor, whole numbers to float64, and refuse lower precision and other devices."""
-    if not isinstance(value, torch.Tensor):
+    if not torch.is_tensor(value):
         numbers = to_array(value, name)
         value = torch.from_numpy(numbers.astype(numbers.dtype if numbers.dtype.kind == "f" else np.float64))
     if value.dtype in (torch.int32, torch.int64):

@@ -18,6 +18,7 @@ from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import is_called_in_python
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,17 @@ Shape = tuple[int, ...]
 # Largest number of members of the run in which the step of a first run is checked, of steps if these call Python or are
 # of matrices, and of rows of these.
 CHECKED_MEMBERS, CHECKED_CALLS, CHECKED_ROWS = 64, 100, 128
+
+
+def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
+    """Return a prepared run, or that of a system with a method and a step; `caller` is the function that takes both."""
+    if isinstance(ready, System):
+        if step is None:
+            raise TypeError(f"{caller} was given {short(ready)} without a step; give step=, and method=")
+        return PreparedRun(ready, method, step)
+    if method is not None or step is not None:
+        raise TypeError(f"{caller} was given a step or a method for a prepared run, which has its own; omit them")
+    return ready  # type: ignore[no-any-return]
 
 
 class ParametrizedRun:
