@@ -135,6 +135,8 @@ def not_numbers_error(values: Any, what: str) -> TypeError:
     """Return the error for a value that is not an array of real numbers."""
     hint = unit_hint(values)
     rule = f"numbers{hint}" if hint else "an array of real numbers, all rows of the same length"
+    if is_of_torch(values):
+        rule += "; inside of transformations of PyTorch use co.torch, a run as a function of tensors"
     return TypeError(f"{what} is {short(values, 60)}; it must be {rule}")
 
 
@@ -187,19 +189,24 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
         raise TypeError(
             f"{what} is a tensor with requires_grad, whose gradients would be lost; use co.torch, or give its detach()"
         )
-    elif _is_traced(values):
+    else:
+        _reject_traced(values, what)
+        reject_lost_labels(values, what)
+
+
+def _reject_traced(values: Any, what: str) -> None:
+    """Raise a TypeError for a tracer of JAX, without importing JAX."""
+    jax = sys.modules.get("jax")
+    if jax is not None and isinstance(values, jax.core.Tracer):
         raise TypeError(
             f"{what} is a value that JAX traces, in grad, jit or vmap, and no number; use co.jax.solution, a run as a "
             "function of JAX"
         )
-    else:
-        reject_lost_labels(values, what)
 
 
-def _is_traced(values: Any) -> bool:
-    """Return whether a value is a tracer of JAX, without importing JAX."""
-    jax = sys.modules.get("jax")
-    return jax is not None and isinstance(values, jax.core.Tracer)
+def is_of_torch(value: Any) -> bool:
+    """Return whether a value is a tensor or module of PyTorch, without importing PyTorch."""
+    return any(kind.__module__.partition(".")[0] == "torch" for kind in type(value).__mro__)
 
 
 def reject_lost_labels(values: Any, what: str) -> None:
@@ -215,6 +222,7 @@ def read_number(value: Any, what: str) -> float:
             if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
                 value = value if has_unit(value) else value[()]
             if not is_real(value):
+                _reject_traced(value, what)
                 raise TypeError(f"{what} is {short(value)}; it must be a number{unit_hint(value)}")
         try:
             value = float(value)

@@ -9,11 +9,14 @@ from typing import Any
 from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.keyword_hints import not_by_position
 from coadjoint.optional_packages import require_packages
-from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.runs.derivatives.differentiable_run import REVERSES
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.system import System
+from coadjoint.validation import read_choice
 
 __all__ = ["PoissonMap", "energy", "features", "free_body", "solution"]
 
@@ -80,9 +83,9 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     (4, 3)
     """
     require_packages("co.jax.energy", "jax")
-    from coadjoint.jax.energies import ParametrizedEnergy
+    from coadjoint.jax.energies import JaxEnergy
 
-    return Hamiltonian(ParametrizedEnergy(function, params))
+    return Hamiltonian(JaxEnergy(function, params))
 
 
 def features(function: Callable[..., Any], directions: Any, params: Any) -> Hamiltonian:
@@ -225,6 +228,7 @@ def solution(
     step: float | None = None,
     t_eval: Any = None,
     backend: str | None = None,
+    reverse: str = "exact",
 ) -> Callable[..., Any]:
     """Return a run as a function of JAX, of the initial state and parameters of the system.
 
@@ -249,6 +253,11 @@ def solution(
         `IsospectralGauss` and its compositions, with viscosity and friction; not for other schemes and compensated
         sums.
         The numbers agree to rounding, those of noise too. See docs/derivatives.md.
+    reverse : {"exact", "reversible"}
+        How reverse mode finds the states before a step, as in `PreparedRun.vjp`. ``"exact"``: they are stored, or
+        repeated from stored ones; memory grows as the root of the number of steps. ``"reversible"``: steps are undone
+        from the next saved state, in memory that is constant in the number of steps between saved states; for runs
+        without forces by splittings, and with ``backend="xla"`` by `GaussLegendre`, of vectors. See Notes.
 
     Returns
     -------
@@ -281,6 +290,12 @@ def solution(
     the runs follow one after the other. Second derivatives are not available. With ``backend="xla"`` they are, and
     `vmap` makes one ensemble in all cases.
 
+    Undone steps return to the states of the run with the rounding of both ways: 1e-13 of their size in 1e4 steps of a
+    regular motion. It grows with the distance of neighboring motions, as exp(lambda t) of chaotic ones between two
+    saved states. With ``backend="xla"`` the state that is reached is compared with each saved one, where undoing starts
+    again; gradients are NaN if they differ by more than 1e-8 of the size of the group of coordinates. Save states more
+    often then, or take ``reverse="exact"``. Forward mode needs ``"exact"``.
+
     See Also
     --------
     coadjoint.PreparedRun.vjp : Gradients without JAX.
@@ -305,24 +320,19 @@ def solution(
     """
     if backend not in (None, *BACKENDS):
         raise unknown_name("backend", backend, BACKENDS)
+    undoes = read_choice(reverse, "reverse", REVERSES) == "reversible"
     require_packages("co.jax.solution", "jax")
-    from coadjoint.jax.energies import NAME, energy_of
     from coadjoint.jax.primitives import solve
     from coadjoint.jax.xla_run import XlaRun
 
-    if isinstance(ready, System):
-        if step is None:
-            raise TypeError(f"co.jax.solution was given {short(ready)} without a step; give step=, and method=")
-        ready = PreparedRun(ready, method, step)
-    elif method is not None or step is not None:
-        raise TypeError("co.jax.solution was given a step or a method for a prepared run, which has its own; omit them")
-    learned = type(ready) is PreparedRun and energy_of(ready.system) is not None
+    ready = prepared_of(ready, method, step, "co.jax.solution")
+    learned = type(ready) is PreparedRun and energy_of(ready.system, JaxFunction) is not None
     compute: Callable[..., Any]
     on_xla = learned if backend is None else backend == "xla"
     if on_xla:
-        compute = XlaRun(ready, t_span, save_every, t_eval)
+        compute = XlaRun(ready, t_span, save_every, t_eval, undoes)
     else:
-        compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution"))
+        compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution", reverse=reverse))
 
     def solution_of(x0: Any, *others: Any, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""

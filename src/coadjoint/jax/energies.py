@@ -1,9 +1,7 @@
-"""Energies of the state and of parameters that a run takes as an argument, such as the weights of a network."""
+"""Energies with parameters of JAX."""
 
 from __future__ import annotations
 
-import inspect
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,55 +10,33 @@ import jax.numpy as jnp
 
 from coadjoint.jax.primitives import doubles
 from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.parametrized_energy import ParametrizedEnergy, Trees, function_of
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
-from coadjoint.systems.user_functions import parameters_of_function, without_multiples
-from coadjoint.validation import is_real
-
-NAME = "params"
-"""The argument of a run with the parameters of its energy."""
+from coadjoint.validation import is_of_torch, is_real
 
 
-class ParametrizedEnergy:
-    """The energy H(x) = function(x, params), or of (x, t), at the params given, which are arrays of float64."""
+class JaxTrees(Trees):
+    """Parameters as pytrees of JAX."""
 
-    caller = "co.jax.energy"
-    of_jax = True
-    counts: tuple[int, ...] = (2, 3)
-    taken = "(x, params) or (x, params, t)"
+    library, module = "JAX", jax.tree_util
 
-    def __init__(self, function: Callable[..., Any], params: Any) -> None:
-        self.function, self.params = function, read_params(params, self.caller)
-        arguments = self._arguments(function)
-        self.__signature__ = inspect.Signature(arguments)
-        self.__name__ = getattr(function, "__name__", type(function).__name__)
-
-    def _arguments(self, function: Any) -> list[inspect.Parameter]:
-        """Return the arguments of the energy: those of the function without params, which are the second one."""
-        if not callable(function) or _is_of_torch(function):
-            hint = "; a module of PyTorch is no function of JAX" if _is_of_torch(function) else ""
-            raise TypeError(f"{self.caller} was given {short(function)}{hint}; give a function H(x, params) of JAX")
-        names = [one.name for one in parameters_of_function(function)]
-        if names[:1] == ["params"] or len(names) not in self.counts:
+    def array(self, name: str, value: Any, owner: str) -> Any:
+        if is_of_torch(value) or not (is_real(value) or hasattr(value, "dtype")):
             raise TypeError(
-                f"{self.caller} was given a function of ({', '.join(names)}); it must be one of {self.taken}, in "
-                "this order"
+                f"{name} of {owner} is {short(value)}; parameters are arrays of JAX or NumPy, in lists, "
+                "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"
             )
-        return [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("x", "t")[: len(names) - 1]]
-
-    def __call__(self, x: Any, *time: Any) -> Any:
-        """Return the energy at the params given."""
-        return self.at(self.params, x, *time)
-
-    def at(self, params: Any, x: Any, *time: Any) -> Any:
-        """Return the energy at other params."""
-        return self.function(x, params, *time)
-
-    def checked(self, params: Any) -> Any:
-        """Return params of a call as arrays; raise an error if they have another structure or other shapes."""
-        return params_like(self.params, params, f"as given to {self.caller}")
+        return doubles({name: value})[name]
 
 
-class FeatureEnergy(ParametrizedEnergy):
+class JaxEnergy(ParametrizedEnergy):
+    """An energy of JAX."""
+
+    caller, trees = "co.jax.energy", JaxTrees()
+    of_jax = True
+
+
+class FeatureEnergy(JaxEnergy):
     """The energy sum_k f(<a_k, x>, w_k) of directions a (features, n), and w with a first axis of features."""
 
     caller = "co.jax.features"
@@ -74,7 +50,7 @@ class FeatureEnergy(ParametrizedEnergy):
         for path, one in jax.tree.leaves_with_path(own):
             if one.shape[:1] != directions.shape[:1]:
                 raise ValueError(
-                    f"{_name(path)} has the shape {one.shape}; its first axis must be that of the "
+                    f"{self.trees.name(path)} has the shape {one.shape}; its first axis must be that of the "
                     f"{len(directions)} features"
                 )
 
@@ -89,59 +65,9 @@ class FeatureEnergy(ParametrizedEnergy):
         return jax.grad(self.function)(y, own)
 
 
-def read_params(params: Any, owner: str) -> Any:
-    """Return the parameters of an energy, a pytree, as arrays of float64; `owner` names them in messages."""
-
-    def leaf(path: Any, one: Any) -> Any:
-        if _is_of_torch(one) or not (is_real(one) or hasattr(one, "dtype")):
-            raise TypeError(
-                f"{_name(path)} of {owner} is {short(one)}; parameters are arrays of JAX or NumPy, in lists, "
-                "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"
-            )
-        return doubles({_name(path): one})[_name(path)]
-
-    return jax.tree.map_with_path(leaf, params)
-
-
-def params_like(known: Any, params: Any, source: str) -> Any:
-    """Return params of a call as arrays; raise an error unless they have the structure and shapes of known ones."""
-    found = read_params(params, NAME)
-    own, given = jax.tree.structure(known), jax.tree.structure(found)
-    if own != given:
-        raise ValueError(f"params have the structure {short(given)}; it must be {own}, {source}")
-    for (path, mine), one in zip(jax.tree.leaves_with_path(known), jax.tree.leaves(found), strict=True):
-        if mine.shape != one.shape:
-            raise ValueError(f"{_name(path)} has the shape {one.shape}; it must be {mine.shape}, {source}")
-    return found
-
-
-def energy_of(system: Any) -> ParametrizedEnergy | None:
-    """Return the energy of a system that has params, or None; raise TypeError for several of them."""
-    functions = [function_of(term)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
-    found = [*{id(one): one for one in functions if isinstance(one, ParametrizedEnergy)}.values()]
-    if len(found) > 1:
-        raise TypeError(f"{system.name} has {len(found)} energies with params; write them as one function")
-    return found[0] if found else None
-
-
 def features_of(system: Any) -> tuple[FeatureEnergy | None, float]:
     """Return the energy of features of which that of a system is a multiple, or None, and the factor."""
     first, *others = system.hamiltonian.terms()
-    function, factor = function_of(first)
+    function, factor = function_of(first, JaxFunction)
     whole = isinstance(function, FeatureEnergy) and not others and len(first.coordinates) == system.dim
     return (function if whole else None), factor
-
-
-def function_of(term: Any) -> tuple[Any, float]:
-    """Return the function of JAX of which the value of a term is a multiple, or None, and the factor."""
-    value, outer = without_multiples(getattr(term, "value", None))
-    function, inner = without_multiples(value.function if isinstance(value, JaxFunction) else None)
-    return function, math.prod(float(one.factor) for one in (*inner, *outer))
-
-
-def _name(path: Any) -> str:
-    return NAME + jax.tree_util.keystr(path)
-
-
-def _is_of_torch(value: Any) -> bool:
-    return any(kind.__module__.partition(".")[0] == "torch" for kind in type(value).__mro__)

@@ -51,4 +51,7 @@ def feature_steps(bracket: CoadjointAction, scheme: Any, energy: FeatureEnergy, 
     def whole(numbers: Any, start: Any, t: Any, h: Any, member: Any) -> Any:
         return finished(numbers, (flows(numbers, first, start[0], h), None), t, h, start, h)
 
-    return Steps(lambda numbers: numbers, step, whole, begin, finished)
+    def undo(numbers: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        return flows(numbers, steps[::-1], state[0], -h), None
+
+    return Steps(lambda numbers: numbers, step, whole, begin, finished, undo=undo)

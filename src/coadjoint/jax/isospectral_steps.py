@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import comb
 from typing import Any
@@ -13,19 +13,15 @@ from jax import lax
 
 from coadjoint.algebra.families.matrix_algebra import KINDS, MEMBERSHIP_TOLERANCE
 from coadjoint.jax.matrix_streams import adjoint, skew_part, stream_map
-from coadjoint.jax.stage_steps import Steps
+from coadjoint.jax.stage_steps import Steps, fixed_point
 from coadjoint.methods.isospectral_gauss import IsospectralGauss
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import MAX_ITERATIONS
-from coadjoint.rounding import UNIT_ROUNDOFF
 
 HISTORY = 8
 """Earlier steps from which the stages are extrapolated, by a polynomial in time."""
 # Updates of S for each P: errors of V then fall by the square of h |P| / 2, and the iteration by about 30.
 SWEEPS = 2
-# Last correction of h S, relative to it or to one, whichever is larger; and times sqrt(N) the correction below which
-# one that does not fall is round-off.
-CONVERGED, STAGNANT = 4 * UNIT_ROUNDOFF, 16 * UNIT_ROUNDOFF
 # Rows of extrapolations: from k known steps, the last one first.
 EXTRAPOLATIONS = np.array([[(-1) ** j * comb(k, j + 1) for j in range(HISTORY)] for k in range(HISTORY + 1)], float)
 
@@ -52,9 +48,7 @@ def isospectral_steps(system: Any, scheme: IsospectralGauss, fractions: Sequence
     def substep(constants: Any, W: Any, history: Any, count: Any, h: Any) -> Any:
         update = partial(improved, constants, W, h)
         first = jnp.tensordot(jnp.asarray(EXTRAPOLATIONS)[count], history, 1)
-        S = lax.custom_root(
-            lambda S: S - update(S), first, lambda _, guess: fixed_point(update, guess, h), _linear_solution
-        )
+        S = fixed_point(update, first, 1.0 / jnp.abs(h), MAX_ITERATIONS)
         history = jnp.concatenate([lax.stop_gradient(S)[None], history[:-1]])
         return conjugated(W, h * jnp.tensordot(b, S, 1)), history
 
@@ -78,52 +72,7 @@ def isospectral_steps(system: Any, scheme: IsospectralGauss, fractions: Sequence
     return Steps(lambda _: arrays, step, whole, begin, finish)
 
 
-def fixed_point(update: Callable[[Any], Any], first: Any, h: Any) -> Any:
-    """Return the fixed point of the stages; NaN if corrections do not fall to round-off."""
-    stagnant = STAGNANT * np.sqrt(first.shape[-1])
-
-    def is_converged(change: Any, least: Any, size: Any) -> Any:
-        scale = jnp.maximum(1.0, size)
-        return (change <= CONVERGED * scale) | ((change <= stagnant * scale) & (change >= least))
-
-    def unfinished(carry: Any) -> Any:
-        _, change, least, size, count = carry
-        return (count < MAX_ITERATIONS) & ~is_converged(change, least, size) & (change < jnp.inf)
-
-    def iteration(carry: Any) -> Any:
-        S, change, least, _, count = carry
-        new = update(S)
-        return new, jnp.abs(h) * largest(new - S), jnp.minimum(least, change), jnp.abs(h) * largest(new), count + 1
-
-    huge = jnp.finfo(jnp.float64).max
-    S, change, least, size, _ = lax.while_loop(unfinished, iteration, (first, huge, huge, 0.0, 0))
-    return jnp.where(is_converged(change, least, size), S, jnp.nan)
-
-
-def _linear_solution(matvec: Callable[[Any], Any], right: Any) -> Any:
-    """Return the solution of a linear equation near the identity, also of the transposed one in reverse mode."""
-
-    def solve(matvec: Callable[[Any], Any], right: Any) -> Any:
-        def iteration(carry: Any) -> Any:
-            x, _, count = carry
-            rest = right - matvec(x)
-            return x + rest, largest(rest), count + 1
-
-        def unfinished(carry: Any) -> Any:
-            x, change, count = carry
-            return (count < MAX_ITERATIONS) & (change > CONVERGED * largest(x))
-
-        return lax.while_loop(unfinished, iteration, (right, jnp.inf, 0))[0]
-
-    return lax.custom_linear_solve(matvec, right, solve, solve)
-
-
 # Matrices, with axes of stages before them, and with two layers as dual numbers, axis -3.
-
-
-def largest(A: Any) -> Any:
-    """Return the size of the largest entry."""
-    return jnp.max(jnp.abs(A))
 
 
 def matrix_product(A: Any, B: Any) -> Any:

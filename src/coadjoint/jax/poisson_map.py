@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.jax.energies import FeatureEnergy, params_like, read_params
+from coadjoint.jax.energies import FeatureEnergy
 from coadjoint.jax.feature_flows import feature_flow
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import CoadjointAction
@@ -132,7 +132,9 @@ class PoissonMap:
 
         sizes = list(zip(self.widths, (1, *self.widths[:-1]), strict=True))
         hidden = [(drawn(*size), np.zeros((self.depth, size[0]))) for size in sizes]
-        return read_params((drawn(self.algebra.dim), [*hidden, 0.1 * drawn(self.widths[-1])]), "PoissonMap.init")
+        return FeatureEnergy.trees.read(
+            (drawn(self.algebra.dim), [*hidden, 0.1 * drawn(self.widths[-1])]), "PoissonMap.init"
+        )
 
     def __call__(self, x: Any, params: Any, h: Any = 1.0) -> Any:
         """Return the states after all layers, of states (n,) or (..., n); h may be learned too."""
@@ -180,7 +182,7 @@ class PoissonMap:
         return Hamiltonian(FeatureEnergy(function_of_layer, self._read(params)))
 
     def _read(self, params: Any) -> Any:
-        return params_like(self._layers.params, params, "as that of PoissonMap.init")
+        return self._layers.trees.read_like(self._layers.params, params, "as that of PoissonMap.init")
 
     def _mapped(self, x: Any, params: Any, h: Any, backward: bool) -> Any:
         values = doubles({"x": x, "h": h})

@@ -16,7 +16,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.validation import reject_lost_labels
+from coadjoint.validation import is_of_torch, reject_lost_labels
 
 Names = tuple[str, ...]
 
@@ -44,6 +44,8 @@ def doubles(values: Mapping[str, Any], dtype: Any = np.float64) -> dict[str, Any
 def unrounded(name: str, value: Any) -> Any:
     """Convert an argument to an array of JAX, and refuse those whose labels would be lost, or numbers rounded."""
     reject_lost_labels(value, name)
+    if is_of_torch(value):
+        raise TypeError(f"{name} is a tensor of PyTorch; use co.torch, or give an array, its detach().numpy()")
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and not jax.config.jax_enable_x64:
         raise TypeError(f"{name} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
     return jnp.asarray(value)

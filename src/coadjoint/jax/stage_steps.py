@@ -15,14 +15,10 @@ from jax.ad_checkpoint import checkpoint_name
 
 from coadjoint.algebra.invariants.sampled_checks import SEED
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
-from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.numerics.solvers import LARGEST_CORRECTION, MOST_ITERATIONS, Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
-MOST_ITERATIONS = 50
-"""Most function iterations: an error that halves in each of them is then round-off."""
-# Largest last correction of a fixed point, relative to it, beyond round-off; one that has not converged is NaN.
-LARGEST_CORRECTION = 1e-13
 # Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
 TERMS, MOST_PARTS = 18, 4
 # Largest dimension in which closed forms of exponentials are looked for, and zero for them, relative to the terms.
@@ -63,13 +59,13 @@ SAVED = "fixed point"
 """Name of the fixed points that reverse mode stores in place of solving for them again."""
 
 
-def _iterated(function: Callable[[Any], Any], first: Any, size: Any) -> Any:
+def _iterated(function: Callable[[Any], Any], first: Any, size: Any, most: int) -> Any:
     """Return the limit of iterations from a first guess, NaN without one; entries have the round-off of `size` too."""
 
     def unfinished(carry: Any) -> Any:
         _, _, correction, previous, k = carry
         falling = (correction < previous) | (correction > LARGEST_CORRECTION)
-        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < MOST_ITERATIONS)
+        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < most)
 
     def improved(carry: Any) -> Any:
         z, _, correction, _, k = carry
@@ -82,17 +78,17 @@ def _iterated(function: Callable[[Any], Any], first: Any, size: Any) -> Any:
     return jnp.where(change <= allowed, z, jnp.nan)
 
 
-def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0) -> Any:
+def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0, most: int = MOST_ITERATIONS) -> Any:
     """Return z = function(z) by iterations from a first guess, differentiated as the solution of this equation."""
 
     def residual(z: Any) -> Any:
         return function(z) - z
 
     def solve(_: Any, z: Any) -> Any:
-        return _iterated(function, z, lax.stop_gradient(size))
+        return _iterated(function, z, lax.stop_gradient(size), most)
 
     def solve_linear(matrix: Callable[[Any], Any], b: Any) -> Any:
-        return _iterated(lambda z: matrix(z) + z - b, jnp.zeros_like(b), jnp.max(jnp.abs(b)))
+        return _iterated(lambda z: matrix(z) + z - b, jnp.zeros_like(b), jnp.max(jnp.abs(b)), most)
 
     def solve_tangent(matrix: Callable[[Any], Any], b: Any) -> Any:
         return lax.custom_linear_solve(matrix, b, solve_linear, solve_linear)
@@ -127,6 +123,8 @@ class Steps(NamedTuple):
     finish: Callable[..., Any] = _unchanged
     functions: tuple[TracedFunction, ...] = ()
     """The functions of the user in the steps."""
+    undo: Callable[..., Any] | None = None
+    """The inverse of `step`, of the same arguments; None if it has none."""
 
 
 class CoadjointAction:
@@ -260,4 +258,8 @@ def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
         slopes = fixed_point(improved, jnp.zeros((len(times), len(x))), jnp.abs(x))
         return x + slopes.sum(axis=0), None
 
-    return Steps(lambda energy: energy, step, step, functions=field.functions)
+    def undo(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        return step(constants, state, t + h, -h, member)
+
+    is_symmetric = np.allclose(tableau.mix + tableau.mix[::-1, ::-1], 1.0, rtol=0.0, atol=2.0 * UNIT_ROUNDOFF)
+    return Steps(lambda energy: energy, step, step, functions=field.functions, undo=undo if is_symmetric else None)

@@ -142,7 +142,10 @@ def table_steps(
     def whole(constants: Any, start: State, t: Any, h: Any, member: Any) -> State:
         return finish(constants, flows(constants, first_rows, t, h, unturned(start)), t, h, start, h)
 
-    return Steps(constants, step, whole, begin, finish, tuple(gradients.values()))
+    def undo(constants: Any, state: State, t: Any, h: Any, member: Any) -> State:
+        return flows(constants, step_rows[::-1], t, h, state, -1.0)
+
+    return Steps(constants, step, whole, begin, finish, tuple(gradients.values()), undo)
 
 
 def _generator(tables: UnshiftTables) -> Callable[[Any], Any]:

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SEED, sample_points
 from coadjoint.errors import in_one_line
-from coadjoint.jax.energies import ParametrizedEnergy, function_of
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
+from coadjoint.systems.hamiltonians.parametrized_energy import ParametrizedEnergy, function_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import first_difference
 
 Floats = NDArray[np.float64]
@@ -231,7 +232,7 @@ class TracedFunction(NamedTuple):
 
 def gradient_of(term: FunctionTerm) -> TracedFunction:
     """Return the gradient of a function in its own coordinates, by its derivative or by that of JAX."""
-    what, (function, factor) = "a function of the Hamiltonian", function_of(term)
+    what, (function, factor) = "a function of the Hamiltonian", function_of(term, JaxFunction)
     gradient = on_jax(term.gradient, what) if function is None else None
 
     def given(y: Any, t: Any, params: Any = None) -> Any:

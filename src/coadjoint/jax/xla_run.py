@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, cast
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energies import NAME, energy_of, features_of
+from coadjoint.jax.energies import features_of
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
@@ -19,7 +20,7 @@ from coadjoint.jax.isospectral_steps import isospectral_steps, project
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import SAVED, CoadjointAction, EnergyNumbers, StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
-from coadjoint.jax.traced_functions import compare_with_compiled, sample_states
+from coadjoint.jax.traced_functions import compare_with_compiled, gradient_of, sample_states
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.isospectral_gauss import IsospectralGauss
@@ -29,10 +30,14 @@ from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.generators import given_matrices, group_side
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.public_table import energy_and_parameters
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import with_group
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
+from coadjoint.systems.hamiltonians.parametrized_energy import NAME, ParametrizedEnergy, energy_of, function_of
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
 CALLER = 'co.jax.solution with backend="xla"'
@@ -41,6 +46,10 @@ CALLER = 'co.jax.solution with backend="xla"'
 MOST_STORED = 2**12
 # Segments may be longer than the root of the number of steps by this factor, so that they are of equal length.
 LONGEST = 8
+# Largest difference of a state that is reached by undone steps from the stored one, relative to the size of its group
+# of coordinates, beside rounding: half of the digits. Beyond it gradients are NaN.
+LARGEST_DIFFERENCE, ROUNDING = 1e-8, 2.0**10 * UNIT_ROUNDOFF
+REMEDY = 'take reverse="exact"'
 # A part of the span after which functions are compared with the compiled ones, besides its start.
 SAMPLED_PART = 0.37
 
@@ -48,10 +57,11 @@ SAMPLED_PART = 0.37
 class XlaRun:
     """A prepared run over a time span as operations of JAX, for values by name: x0, inputs and parameters."""
 
-    def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
+    def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any, undoes: bool = False) -> None:
+        # Where it `undoes`, reverse mode takes the steps back from the saved states, without storing others.
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        inputs, self._function = prepared.inputs, energy_of(prepared.system)
+        inputs, self._function = prepared.inputs, energy_of(prepared.system, JaxFunction)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -71,6 +81,9 @@ class XlaRun:
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table = _steps_and_table(self._system.unforced, method, group)
+        if undoes and self._steps.undo is None:
+            raise TypeError(f"{self._system.name} by {prepared.scheme} has no steps that {CALLER} undoes; {REMEDY}")
+        self._undoes, self._groups = undoes, CoordinateGroups(first).labels if undoes else None
         self._energy = CoefficientsAtParameters(self._system, self._table, prepared.inputs, CALLER)
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
@@ -84,6 +97,11 @@ class XlaRun:
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
         self._moments = times.at(np.arange(times.steps + 1)) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
+        terms = first.hamiltonian.terms() if self._function is not None else ()
+        learned = [
+            gradient_of(term) for term in terms if isinstance(function_of(term, JaxFunction)[0], ParametrizedEnergy)
+        ]
+        self._derivatives = jax.jit(partial(_derivatives_at, learned, self._t0))
         self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -110,6 +128,7 @@ class XlaRun:
         start, attitude = known["x0"], known.get("attitude0")
         if start is not None:
             self._prepared.start(start)
+            self._check_differentiable(start, params)
         if attitude is not None:
             check_attitude(self._prepared, attitude)
         elif "attitude0" in values:
@@ -122,6 +141,16 @@ class XlaRun:
         if NAME not in parameters and not any(value is None for value in known.values()):
             self._run.check_first_step(known)
         return found
+
+    def _check_differentiable(self, start: Any, params: Any) -> None:
+        """Raise ValueError if an energy with params has no first or second derivatives at an initial state."""
+        params = jax.tree.map(lax.stop_gradient, params)
+        if self._function is None or any(isinstance(one, jax.core.Tracer) for one in jax.tree.leaves(params)):
+            return
+        rows = start.reshape(-1, start.shape[-1])
+        with jax.ensure_compile_time_eval():
+            derivatives = [np.asarray(one) for one in self._derivatives(rows, params)]
+        self._function.check_differentiable(start, derivatives)
 
     def _checked_attitude(self, attitude: Any) -> Any:
         """Return an attitude that is checked on the host when the traced program runs."""
@@ -189,22 +218,92 @@ class XlaRun:
         def finished(state: Any, k: Any) -> Any:
             return steps.finish(constants, state, self._time(k - 1), h, start, k * h)
 
+        def advanced(state: Any, first: Any, count: int) -> Any:
+            if self._undoes:
+                return self._undone_later(count)(constants, state, first)
+            return scan_in_segments(step, state, first + jnp.arange(count))[0]
+
         def interval(state: Any, first: Any) -> Any:
-            state, _ = scan_in_segments(step, state, first + jnp.arange(every))
+            state = advanced(state, first, every)
             return state, finished(state, first + every)
 
         state, saved = steps.begin(constants, start, self._t0, h), [jax.tree.map(lambda one: one[None], start)]
         if self._intervals:
-            state, found = scan_in_segments(interval, state, every * jnp.arange(self._intervals), every)
+            firsts = every * jnp.arange(self._intervals)
+            if self._undoes:
+                state, found = lax.scan(interval, state, firsts)
+            else:
+                state, found = scan_in_segments(interval, state, firsts, every)
             saved.append(found)
         if self._rest:
             last = every * self._intervals
-            state, _ = scan_in_segments(step, state, last + jnp.arange(self._rest))
+            state = advanced(state, last, self._rest)
             saved.append(jax.tree.map(lambda one: one[None], finished(state, last + self._rest)))
         states = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *saved)
         if self._chosen is None:
             return states
         return self._partial_steps(constants, jax.tree.map(lambda one: one[self._chosen], states), member)
+
+    def _undone_later(self, count: int) -> Callable[..., Any]:
+        """Return `count` steps that reverse mode undoes from the last one, with no state stored between."""
+        steps, h = self._steps, self._h
+        undo = cast(Callable[..., Any], steps.undo)
+
+        def step(constants: Any, state: Any, k: Any) -> Any:
+            return steps.step(constants, state, self._time(k), h, 0)
+
+        @jax.custom_vjp
+        def advance(constants: Any, state: Any, first: Any) -> Any:
+            return lax.fori_loop(0, count, lambda k, state: step(constants, state, first + k), state)
+
+        def forward(constants: Any, start: Any, first: Any) -> Any:
+            end = advance(constants, start, first)
+            return end, (constants, start, end, first)
+
+        def backward(residuals: Any, of_end: Any) -> Any:
+            constants, start, end, first = residuals
+            leaves, structure = jax.tree.flatten(constants)
+            numbers = [one for one in leaves if jnp.issubdtype(one.dtype, jnp.inexact)]
+
+            def joined(numbers: Any, indices: Any) -> Any:
+                rest = iter(numbers)
+                return [next(rest) if jnp.issubdtype(one.dtype, jnp.inexact) else indices(one) for one in leaves]
+
+            def at(numbers: Any) -> Any:
+                return jax.tree.unflatten(structure, joined(numbers, lambda one: one))
+
+            def undone(k: Any, carry: Any) -> Any:
+                state, of_state, of_numbers = carry
+                number = first + count - 1 - k
+                before = undo(constants, state, self._time(number), h, 0)
+                pullback = jax.vjp(lambda numbers, state: step(at(numbers), state, number), numbers, before)[1]
+                added, of_state = pullback(of_state)
+                return before, of_state, jax.tree.map(jnp.add, of_numbers, added)
+
+            carry = end, of_end, jax.tree.map(jnp.zeros_like, numbers)
+            reached, of_start, of_numbers = lax.fori_loop(0, count, undone, carry)
+            known = jnp.where(self._returned(reached, start, end), 1.0, jnp.nan)
+            of_start, of_numbers = jax.tree.map(lambda one: known * one, (of_start, of_numbers))
+            of_constants = joined(of_numbers, lambda one: np.zeros(one.shape, jax.dtypes.float0))
+            return jax.tree.unflatten(structure, of_constants), of_start, None
+
+        advance.defvjp(forward, backward)
+        return advance
+
+    def _returned(self, reached: Any, start: Any, end: Any) -> Any:
+        """Return whether undone steps reached the state where they started, except for errors of no importance."""
+
+        def is_near(own: Any, known: Any, last: Any, groups: Any) -> Any:
+            sizes = jnp.maximum(jnp.abs(known), jnp.abs(last))
+            of_group = jnp.zeros(int(np.max(groups)) + 1).at[groups].max(sizes)[groups]
+            return jnp.all(jnp.abs(own - known) <= LARGEST_DIFFERENCE * of_group + ROUNDING * jnp.max(sizes))
+
+        (x, element), (x0, element0), (x1, element1) = reached, start, end
+        near = is_near(x, x0, x1, self._groups)
+        if element is None:
+            return near
+        flat = [one.ravel() for one in (element, element0, element1)]
+        return near & is_near(*flat, np.zeros(element.size, dtype=np.int64))
 
     def _partial_steps(self, constants: Any, states: Any, member: Any) -> Any:
         """Return the states after the steps of output times, each with a step of what remains of its time."""
@@ -215,6 +314,19 @@ class XlaRun:
         before = jax.tree.map(lambda one: one[partial], states)
         ends = jax.vmap(self._steps.whole, (None, 0, 0, 0, None))(constants, before, times, lengths, member)
         return jax.tree.map(lambda one, end: one.at[partial].set(end), states, ends)
+
+
+def _derivatives_at(gradients: Any, t: Any, rows: Any, params: Any) -> tuple[Any, Any]:
+    """Return the derivatives of terms at states, and those along one direction, for each row."""
+
+    def at(x: Any) -> Any:
+        along, pairs = jnp.cos(jnp.arange(1.0, len(x) + 1.0)), []
+        for one in gradients:
+            own = one.coordinates
+            pairs.append(jax.jvp(lambda y, one=one: one.at(y, t, params), (x[own],), (along[own],)))
+        return tuple(jnp.concatenate(each) for each in zip(*pairs, strict=True))
+
+    return cast("tuple[Any, Any]", jax.vmap(at)(rows))
 
 
 def check_attitude(prepared: PreparedRun, attitude: Any) -> None:

@@ -12,6 +12,7 @@ from coadjoint.shortcuts import SHORTCUTS, shortcut
 
 PACKAGE = Path(coadjoint.__file__).parent
 DOCS = Path(__file__).parents[3] / "docs"
+BACKENDS = "jax", "torch"
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def imports(path):
 
 def test_every_folder_is_a_layer(drawn):
     folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
-    assert folders == {*drawn.LAYERS, "jax"}
+    assert folders == {*drawn.LAYERS, *BACKENDS}
     table = (DOCS / "architecture.md").read_text(encoding="utf-8")
     assert all(f"| `{layer}/` | " in table for layer in drawn.LAYERS)
 
@@ -52,7 +53,7 @@ def test_layers_import_earlier_layers_only(drawn):
         for layer in drawn.LAYERS
         for path in sorted((PACKAGE / layer).rglob("*.py"))
         for other in imports(path)
-        if other == "jax" or (other in along and other != layer and along[other] >= along[layer])
+        if other in BACKENDS or (other in along and other != layer and along[other] >= along[layer])
     ]
     assert wrong == []
 

@@ -359,6 +359,16 @@ LEARNED = {
     "grad": (lambda: jax.grad(end_of_integrate)(jnp.ones(3)), TypeError, ["x0", "co.jax.solution"]),
     "vmap": (lambda: jax.vmap(end_of_integrate)(jnp.ones((2, 3))), TypeError, ["x0", "co.jax.solution"]),
     "inertia": (lambda: jax.grad(end_of_inertia)(1.0), TypeError, ["inertia", "co.jax.solution"]),
+    "traced step": (lambda: jax.jit(end_by_step)(0.1), TypeError, ["step", "co.jax.solution"]),
+    "kink": (lambda: of_power(0.5)(np.array([[0.1, 0.2, 0.3], [0.0, 0.5, 1.0]])), ValueError, [
+        "x0[1]", "[0.0, 0.5, 1.0]", "gradient", "inf", "co.jax.energy",
+    ]),
+    "second": (
+        lambda: jax.grad(lambda w: of_power(1.5)(np.array([0.0, 0.5, 1.0]), params=w)[-1, 0])(jnp.ones(3)), ValueError,
+        ["x0", "[0.0, 0.5, 1.0]", "second derivative", "inf"],
+    ),
+    "tensor x0": (lambda: run_of()(OfTorch()), TypeError, ["x0", "PyTorch", "co.torch"]),
+    "module H": (lambda: bound(OfTorch()), TypeError, ["PyTorch", "co.torch.energy"]),
 }  # fmt: skip
 
 
@@ -393,6 +403,15 @@ def map_of(depth=2):
 
 def end_of_integrate(x0):
     return co.integrate(SYSTEM, x0, (0, 1), 0.1).x[-1, 0]
+
+
+def end_by_step(h):
+    return co.integrate(SYSTEM, np.ones(3), (0, 1), h).x[-1, 0]
+
+
+def of_power(power):
+    H = co.jax.energy(lambda x, w: w @ jnp.abs(x) ** power, jnp.ones(3))
+    return co.jax.solution(bound(H), (0, 1), method=co.GaussLegendre(1), step=0.1)
 
 
 def end_of_inertia(first):

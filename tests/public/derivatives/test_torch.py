@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from refusals import refused
@@ -25,7 +26,7 @@ def prepared(inertia=(1.0, 2.0, 2.5), **options):
 
 @pytest.fixture
 def g():
-    return co.torch.function(prepared(), SPAN, EVERY)
+    return co.torch.solution(prepared(), SPAN, EVERY)
 
 
 def variable(values):
@@ -59,14 +60,14 @@ def test_jvp_is_that_of_the_prepared_run(g):
 
 @pytest.mark.parametrize("x0", [X0, MANY], ids=["one", "ensemble"])
 def test_derivatives_agree_with_differences(x0):
-    g = co.torch.function(prepared(attitude=True), (0, 1), 20)
+    g = co.torch.solution(prepared(attitude=True), (0, 1), 20)
     arguments = variable(x0), variable(INERTIA)
     assert torch.autograd.gradcheck(lambda x0, inertia: g(x0, inertia=inertia), arguments, check_forward_ad=True)
 
 
 def test_attitude_is_returned_and_differentiated():
     ready = prepared(attitude=True)
-    g = co.torch.function(ready, SPAN, EVERY)
+    g = co.torch.solution(ready, SPAN, EVERY)
     turned = co.integrate(co.systems.rigid_body(inertia=INERTIA), X0, (0, 1), 0.1, attitude=True).attitude[-1]
     sol, pullback = ready.vjp(X0, SPAN, EVERY, attitude=turned)
     A0 = variable(turned)
@@ -98,7 +99,7 @@ def test_wrong_arguments_are_refused(g, x0, values, error, named):
 
 
 def test_parameters_by_position_are_refused(g):
-    with refused(TypeError, "co.torch.function", "2 arguments", "x0 alone", "inertia="):
+    with refused(TypeError, "co.torch.solution", "2 arguments", "x0 alone", "inertia="):
         g(X0, INERTIA)
 
 
@@ -109,6 +110,231 @@ def test_second_derivatives_are_refused(g):
         gradient.sum().backward()
 
 
-def test_example_of_the_page_runs():
-    (example,) = re.findall(r"```python\n(import torch\n.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    exec(example, {"co": co})
+def test_vmap_makes_one_ensemble_and_takes_derivatives_in_turn(g):
+    """Over initial states, parameters, gradients and tangents; with attitudes."""
+    many, inertias = torch.tensor(MANY), torch.tensor(np.array([INERTIA, 1.1 * INERTIA]))
+    assert np.array_equal(torch.func.vmap(g, out_dims=1)(many), g(many))
+    by_inertia = torch.func.vmap(lambda inertia: g(X0, inertia=inertia))(inertias)
+    assert np.array_equal(by_inertia[1], g(X0, inertia=inertias[1]))
+
+    def end(x0, inertia):
+        return g(x0, inertia=inertia)[-1, 0]
+
+    slopes = torch.func.vmap(torch.func.grad(end, (0, 1)), (0, None))(many, inertias[0])
+    for k, x0 in enumerate(many):
+        for found, wanted in zip(slopes, torch.func.grad(end, (0, 1))(x0, inertias[0]), strict=True):
+            assert np.array_equal(found[k], wanted)
+    jacobian = torch.func.jacfwd(lambda x0: g(x0)[-1])(many[0])
+    np.testing.assert_allclose(jacobian, torch.func.jacrev(lambda x0: g(x0)[-1])(many[0]), rtol=0, atol=1e-12)
+    turned = co.torch.solution(prepared(attitude=True), (0, 1), 20)
+    for found, wanted in zip(torch.func.vmap(turned, out_dims=(1, 1))(many), turned(many), strict=True):
+        assert np.array_equal(found, wanted)
+
+
+# Energies with params.
+
+
+def weights(n):
+    rng = np.random.default_rng(3)
+    return {"in": rng.standard_normal((4, n)) / np.sqrt(n), "out": rng.standard_normal(4) / 2}
+
+
+def network(x, params):
+    return params["out"] @ torch.tanh(params["in"] @ x) + 0.5 * x @ x
+
+
+def in_time(x, params, t):
+    return torch.cos(t) * network(x, params)
+
+
+def slopes(x, params, t=0.0):
+    """The gradient of `network`, in NumPy."""
+    return params["in"].T @ (params["out"] / np.cosh(params["in"] @ x) ** 2) + x
+
+
+def modules(n=3):
+    """A module whose energy is that of `network`, without the square."""
+    made = torch.nn.Sequential(torch.nn.Linear(n, 4, bias=False), torch.nn.Tanh(), torch.nn.Linear(4, 1, bias=False))
+    made = made.double()
+    with torch.no_grad():
+        made[0].weight.copy_(torch.tensor(weights(n)["in"]))
+        made[2].weight.copy_(torch.tensor(weights(n)["out"][None]))
+    return made
+
+
+INVERSE = np.array([1.0, 0.5, 0.4])
+
+
+def potential(params):
+    piece = co.SplitHamiltonian([((3, 4, 5), co.torch.energy(network, params))])
+    return co.Quadratic([*INVERSE, 0.0, 0.0, 0.0]) + piece
+
+
+def split_slopes(x, params, t=0.0):
+    return np.append(INVERSE * x[:3], slopes(x[3:], params))
+
+
+SOLVED = {
+    "function": ("so(3)", lambda params: co.torch.energy(network, params), slopes, 0, (0.0, 1.0), 1.0),
+    "in time": (
+        "A4,10", lambda params: 2 * co.torch.energy(in_time, params),
+        lambda x, params, t: 2 * np.cos(t) * slopes(x, params), 0, (1.5, 0.5), 1.0,
+    ),
+    "potential": ("e(3)", potential, split_slopes, 3, (1.0, 2.0), 1.0),
+    "small": ("so(3)", lambda params: scaled(params, 1e-7), slopes, 0, (0.0, 1.0), 1e-7),
+    "large": ("so(3)", lambda params: scaled(params, 1e30), slopes, 0, (0.0, 1.0), 1e30),
+}  # fmt: skip
+
+
+def scaled(params, unit):
+    return co.torch.energy(lambda x, params: unit * network(x / unit, params), params)
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_states_and_gradients_of_learned_energies_are_those_of_scipy(name):
+    """A direction of all parameters and of x0, by differences; both signs, backward, from other times, other units."""
+    algebra, make, slopes_of, missing, ends, unit = SOLVED[name]
+    algebra, sign = co.algebras.get(algebra), -1 if missing else 1
+    n, rng = algebra.dim, np.random.default_rng(11)
+    params, along = weights(n - missing), {key: 0.3 * np.cos(one) for key, one in weights(n - missing).items()}
+    x0, v = rng.uniform(0.3, 0.8, n), rng.standard_normal(n)
+    J, c = sign * np.array([algebra.structure_matrix(e) for e in np.eye(n)]), np.cos(np.arange(n))
+
+    def end(s):
+        moved = {key: params[key] + s * along[key] for key in params}
+
+        def field(t, x):
+            return np.einsum("kij,k,j->i", J, x, slopes_of(x, moved, t))
+
+        return solve_ivp(field, ends, x0 + s * v, method="DOP853", rtol=3e-14, atol=1e-16).y[:, -1]
+
+    system = co.LiePoissonSystem(algebra, make(params), sign=sign)
+    run = co.torch.solution(system, ends, 100, method=co.GaussLegendre(3), step=0.05)
+
+    def weighted(s):
+        moved = {key: torch.tensor(params[key]) + s * torch.tensor(along[key]) for key in params}
+        x = run(unit * (torch.tensor(x0) + s * torch.tensor(v)), params=moved)[-1] / unit
+        return torch.tensor(c) @ x, x
+
+    slope, x = torch.func.grad(weighted, has_aux=True)(torch.tensor(0.0, dtype=torch.float64))
+    np.testing.assert_allclose(x, end(0.0), rtol=0, atol=2e-9)
+    h = 3e-5
+    wanted = c @ (end(h) - end(-h)) / (2 * h)
+    assert abs(slope - wanted) < 1e-6 * max(1.0, abs(wanted))
+
+
+def learned_run(**options):
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(modules()) + co.Quadratic(INVERSE), sign=-1)
+    given = {"method": co.GaussLegendre(2), "step": 0.25, "save_every": 2, **options}
+    return co.torch.solution(system, (0.5, 1.5), **given), system
+
+
+def test_modules_are_those_of_compiled_runs_and_of_functions():
+    """States of `integrate`; gradients in place, by torch.func, by vmap; other modules, members and times of output."""
+    run, system = learned_run()
+    many = torch.tensor(MANY)
+    wanted = co.integrate(system, MANY, (0.5, 1.5), 0.25, co.GaussLegendre(2), save_every=2).x
+    np.testing.assert_allclose(run(many), wanted, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(torch.func.vmap(run, out_dims=1)(many), wanted, rtol=0, atol=1e-14)
+    at, t_eval = learned_run(t_eval=[0.5, 0.73, 1.0, 1.49], save_every=1)[0](X0), [0.5, 0.73, 1.0, 1.49]
+    moments = co.integrate(system, X0, (0.5, 1.5), 0.25, co.GaussLegendre(2), t_eval=t_eval).x
+    np.testing.assert_allclose(at, moments, rtol=0, atol=1e-14)
+    module = modules()
+    run(many, params=dict(module.named_parameters()))[-1].sum().backward()
+    params = {name: one.detach() for name, one in module.named_parameters()}
+    each = torch.func.vmap(torch.func.grad(lambda params, x0: run(x0, params=params)[-1].sum()), (None, 0))(
+        params, many
+    )
+    for name, one in module.named_parameters():
+        np.testing.assert_allclose(one.grad, each[name].sum(0), rtol=0, atol=1e-14)
+    # The parameters of the system are a copy.
+    before = run(X0)
+    with torch.no_grad():
+        module[0].weight.mul_(2.0)
+    assert np.array_equal(run(X0), before)
+    assert not np.allclose(run(X0, params=dict(module.named_parameters())).detach(), before)
+
+
+def test_derivatives_of_learned_runs_of_every_order_are_differences():
+    run, _ = learned_run(step=0.5, save_every=1)
+    x0 = torch.tensor(X0)
+    assert torch.autograd.gradcheck(run, (variable(X0),), check_forward_ad=True)
+    assert torch.autograd.gradgradcheck(lambda x0: run(x0)[-1], (variable(X0),))
+    second, forward = (torch.func.jacrev(torch.func.grad(end_of(run))), torch.func.hessian(end_of(run)))
+    np.testing.assert_allclose(forward(x0), second(x0), rtol=0, atol=1e-14)
+    h, e = 1e-4, torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    difference = (second(x0 + h * e) - second(x0 - h * e)) / (2 * h)
+    np.testing.assert_allclose(torch.func.jacrev(second)(x0)[..., 1], difference, rtol=0, atol=1e-7)
+
+
+def end_of(run):
+    return lambda x0: run(x0)[-1, 0]
+
+
+def test_casimirs_stay_and_steps_without_stages_are_nan():
+    run, _ = learned_run()
+    np.testing.assert_allclose((run(MANY) ** 2).sum(-1)[-1], (MANY**2).sum(-1), rtol=1e-14)
+    many = torch.tensor(np.array([X0, 1e4 * X0]))
+    found = learned_run()[0](many, params={name: one for name, one in modules().named_parameters()})
+    assert found[-1, 0].isfinite().all() and found[-1, 1].isnan().all()
+
+
+def body(H, **options):
+    return co.torch.solution(
+        co.LiePoissonSystem(co.algebras.so(3), H), (0, 1), **{"method": co.GaussLegendre(1), "step": 0.1, **options}
+    )
+
+
+def root(x, params):
+    return params @ x.abs() ** 0.5
+
+
+LEARNED = {
+    "no params": (lambda: co.torch.energy(network), TypeError, ["without params"]),
+    "params, x": (lambda: co.torch.energy(lambda params, x: x[0], {}), TypeError, ["(x, params)", "this order"]),
+    "float32": (lambda: co.torch.energy(torch.nn.Linear(3, 1)), TypeError, ["weight", "float32", "module.double()"]),
+    "text": (lambda: co.torch.energy(network, {"in": "abc"}), TypeError, ["params['in']", "abc"]),
+    "vector": (lambda: body(co.torch.energy(lambda x, params: x, {})), ValueError, ["(3,)", "one number"]),
+    "module": (lambda: body(torch.nn.Linear(3, 1)), TypeError, ["module of PyTorch", "co.torch.energy"]),
+    "plain": (lambda: body(lambda x: torch.as_tensor(x).sum()), TypeError, ["co.torch.energy"]),
+    "shape": (lambda: learned_run()[0](X0[:2]), ValueError, ["(2,)", "(3,)"]),
+    "other shape": (
+        lambda: learned_run()[0](X0, params=dict(modules(4).named_parameters())), ValueError,
+        ["params['0.weight']", "(4, 4)", "(4, 3)"],
+    ),
+    "structure": (lambda: learned_run()[0](X0, params={"in": X0}), ValueError, ["structure", "0.weight"]),
+    "position": (lambda: learned_run()[0](X0, {}), TypeError, ["2 arguments", "params="]),
+    "no energy": (lambda: co.torch.solution(prepared(), (0, 1))(X0, params={}), ValueError, ["co.torch.energy"]),
+    "no step": (lambda: body(co.torch.energy(modules()), step=None), TypeError, ["step="]),
+    "own step": (lambda: co.torch.solution(prepared(), (0, 1), step=0.1), TypeError, ["prepared run", "omit"]),
+    "parts": (lambda: body(co.torch.energy(modules()), method=co.Splitting()), TypeError, ["take", "GaussLegendre"]),
+    "forces": (
+        lambda: co.torch.solution(
+            learned_run()[1].with_forces(co.forces.LinearDamping(0.1)), (0, 1), method=co.GaussLegendre(1), step=0.1
+        ),
+        TypeError, ["forces", "LinearDamping"],
+    ),
+    "kink": (
+        lambda: body(co.torch.energy(root, np.ones(3)))([[0.1, 0.2, 0.3], [0.0, 0.5, 1.0]]), ValueError,
+        ["x0[1]", "[0.0, 0.5, 1.0]", "gradient", "co.torch.energy"],
+    ),
+    "integrate": (
+        lambda: torch.func.vmap(lambda x0: co.integrate(prepared().system, x0, (0, 1), 0.1).x)(torch.tensor(MANY)),
+        TypeError, ["x0", "co.torch"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_energies_that_cannot_be_used_are_refused(name):
+    call, error, named = LEARNED[name]
+    with refused(error, *named):
+        call()
+
+
+def test_examples_of_the_page_run():
+    section = PAGE.read_text(encoding="utf-8").partition("## PyTorch\n")[2].partition("\n## ")[0]
+    names = {"co": co}
+    for example in re.findall(r"```python\n(.*?)```", section, re.DOTALL):
+        exec(example, names)
+    assert names["loss"] > 0.0

@@ -15,6 +15,9 @@ from coadjoint.program.numbers import Number, roundoff
 from coadjoint.short_repr import record_repr
 from coadjoint.systems.system import System
 
+# Most iterations in JAX and PyTorch: an error that halves in each of them is then round-off; and the largest last
+# correction of a fixed point there, relative to it, beyond round-off.
+MOST_ITERATIONS, LARGEST_CORRECTION = 50, 1e-13
 MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
 LARGEST_SAMPLED = 2**-8  # of the size of the stages: larger corrections are not sampled
 SAMPLES, SAMPLE_LENGTH, SAMPLED = 8, 3, 32  # of this test: points, iterations from each, and most times their distance

@@ -41,6 +41,7 @@ STEPS_OF_SEGMENT = 16  # steps of a segment below which the allocations of a cal
 BYTES_OF_CHECKPOINTS = 2**25
 
 
+REVERSES = ("exact", "reversible")
 FIXED = ("momentum", "velocity")
 """What a parameter leaves as it is in the initial state."""
 
@@ -108,6 +109,12 @@ class DifferentiableRun:
                 else build_tables(self, h, named, INPUTS in chosen)
             )
         return self._tables[h, chosen]
+
+    def check_reverse(self, reverse: str, h: float) -> None:
+        """Raise an error for an unknown way of reverse mode, or if the steps cannot be undone."""
+        method, undoes = self.prepared.method, read_choice(reverse, "reverse", REVERSES) == "reversible"
+        if undoes and (method.own_steps or not self.tables(h, self.parameters).reversible):
+            raise TypeError(f'{method} has no steps that can be undone; take reverse="exact"')
 
     def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:
         """Return the derivatives of the attitudes, or None without a group element."""

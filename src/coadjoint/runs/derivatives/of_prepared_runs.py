@@ -21,9 +21,7 @@ from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.run_tables import INPUTS, differ_in_columns
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.validation import read_choice, read_numbers, to_array
-
-REVERSES = ("exact", "reversible")
+from coadjoint.validation import read_numbers, to_array
 
 
 def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) -> tuple[Solution, Tangents]:
@@ -46,9 +44,7 @@ def _tangents(prepared: PreparedRun, given: Arguments, directions: Mapping[str, 
 
 def _pullback(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
     run = _derivatives_of(prepared)
-    undone = read_choice(reverse, "reverse", REVERSES) == "reversible"
-    if undone and (prepared.method.own_steps or not run.tables(prepared.step, run.parameters).reversible):
-        raise TypeError(f'{prepared.method} has no steps that can be undone; take reverse="exact"')
+    run.check_reverse(reverse, prepared.step)
     return pullback_of_run(run, _trajectory(run, given, reverse))
 
 

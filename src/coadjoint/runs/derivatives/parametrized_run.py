@@ -18,6 +18,7 @@ from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import is_called_in_python
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,17 @@ Shape = tuple[int, ...]
 # Largest number of members of the run in which the step of a first run is checked, of steps if these call Python or are
 # of matrices, and of rows of these.
 CHECKED_MEMBERS, CHECKED_CALLS, CHECKED_ROWS = 64, 100, 128
+
+
+def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
+    """Return a prepared run, or that of a system with a method and a step; `caller` is the function that takes both."""
+    if isinstance(ready, System):
+        if step is None:
+            raise TypeError(f"{caller} was given {short(ready)} without a step; give step=, and method=")
+        return PreparedRun(ready, method, step)
+    if method is not None or step is not None:
+        raise TypeError(f"{caller} was given a step or a method for a prepared run, which has its own; omit them")
+    return ready  # type: ignore[no-any-return]
 
 
 class ParametrizedRun:
@@ -40,6 +52,7 @@ class ParametrizedRun:
         caller: str,
         *,
         compiled: bool = True,
+        reverse: str = "exact",
     ) -> None:
         # If it is not `compiled`, the caller has its own derivatives and takes inputs and matrices.
         if type(prepared) is not PreparedRun:
@@ -65,6 +78,8 @@ class ParametrizedRun:
             check_partial_steps(prepared.system, moments, differentiated=True)
         if compiled:
             self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
+            self._run.check_reverse(reverse, times.h)
+        self._reverse = reverse
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)
@@ -205,7 +220,7 @@ class ParametrizedRun:
         key, last = _key(values), self._last_trajectory
         if last is not None and last[0] == key:
             return last[1]
-        trajectory = Trajectory(self._run_at(values), self._at(values), "exact")
+        trajectory = Trajectory(self._run_at(values), self._at(values), self._reverse)
         self._last_trajectory = key, trajectory
         return trajectory
 

@@ -44,7 +44,7 @@ from coadjoint.systems.user_functions import (
     numbers_at_samples,
     without_multiples,
 )
-from coadjoint.validation import read_integer
+from coadjoint.validation import is_of_torch, read_integer
 
 MAX_CACHED_MONOMIALS = 64  # monomials of cached polynomials
 
@@ -183,7 +183,7 @@ class Hamiltonian(Summable):
             except TracingError as reason:
                 raise TypeError(
                     f"the gradient cannot be derived from the Hamiltonian alone: {reason}; give gradient=, or "
-                    "write the function with jax.numpy"
+                    "write the function with jax.numpy, or of PyTorch as co.torch.energy(function, params)"
                 ) from reason
             result._derived_by = "derivatives of recorded operations"
         result._loop_value, result._gradient, result._hessian = functions
@@ -371,6 +371,8 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
     if is_class or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
         missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
         if is_plain_function(H):
+            if is_of_torch(H):
+                raise TypeError("the Hamiltonian is a module of PyTorch; give co.torch.energy(module)")
             return Hamiltonian(H).bind(n)
         what = f"the class {H.__name__}" if is_class else f"a {type(H).__name__}"
         is_incomplete = not is_class and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1

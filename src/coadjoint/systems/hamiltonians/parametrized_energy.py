@@ -1,0 +1,121 @@
+"""Energies of the state and of parameters that a run takes as an argument, such as the weights of a network."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from coadjoint.short_repr import short
+from coadjoint.systems.user_functions import parameters_of_function, without_multiples
+from coadjoint.validation import is_of_torch
+
+NAME = "params"
+"""The argument of a run with the parameters of its energy."""
+
+
+class Trees(ABC):
+    """Parameters as trees of arrays of a library: `module` has its functions of trees, with paths."""
+
+    library: str
+    module: Any
+
+    @abstractmethod
+    def array(self, name: str, value: Any, owner: str) -> Any:
+        """Return a parameter as an array of float64; raise TypeError for other values."""
+
+    def read(self, params: Any, owner: str) -> Any:
+        """Return parameters as arrays of float64; `owner` names them in messages."""
+        return self.module.tree_map_with_path(lambda path, one: self.array(self.name(path), one, owner), params)
+
+    def read_like(self, known: Any, params: Any, source: str) -> Any:
+        """Return params of a call as arrays; raise an error unless they have the structure and shapes of known ones."""
+        found, tree = self.read(params, "the run"), self.module
+        own, given = tree.tree_structure(known), tree.tree_structure(found)
+        if own != given:
+            raise ValueError(f"params have the structure {short(given)}; it must be {own}, {source}")
+        for (path, mine), one in zip(tree.tree_leaves_with_path(known), tree.tree_leaves(found), strict=True):
+            if mine.shape != one.shape:
+                raise ValueError(
+                    f"{self.name(path)} has the shape {tuple(one.shape)}; it must be {tuple(mine.shape)}, {source}"
+                )
+        return found
+
+    def name(self, path: Any) -> str:
+        return NAME + str(self.module.keystr(path))
+
+
+class ParametrizedEnergy:
+    """The energy H(x) = function(x, params), or of (x, t), at the params given, which are arrays of float64."""
+
+    caller: ClassVar[str]
+    trees: ClassVar[Trees]
+    counts: tuple[int, ...] = (2, 3)
+    taken = "(x, params) or (x, params, t)"
+
+    def __init__(self, function: Callable[..., Any], params: Any) -> None:
+        self.function, self.params = function, self.trees.read(params, self.caller)
+        arguments = self._arguments(function)
+        self.__signature__ = inspect.Signature(arguments)
+        self.__name__ = getattr(function, "__name__", type(function).__name__)
+
+    def _arguments(self, function: Any) -> list[inspect.Parameter]:
+        """Return the arguments of the energy: those of the function without params, which are the second one."""
+        library = self.trees.library
+        if not callable(function) or is_of_torch(function):
+            hint = "; a module of PyTorch is no function of JAX" if is_of_torch(function) else ""
+            raise TypeError(
+                f"{self.caller} was given {short(function)}{hint}; give a function H(x, params) of {library}"
+            )
+        names = [one.name for one in parameters_of_function(function)]
+        if names[:1] == ["params"] or len(names) not in self.counts:
+            raise TypeError(
+                f"{self.caller} was given a function of ({', '.join(names)}); it must be one of {self.taken}, in "
+                "this order"
+            )
+        return [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("x", "t")[: len(names) - 1]]
+
+    def __call__(self, x: Any, *time: Any) -> Any:
+        """Return the energy at the params given."""
+        return self.at(self.params, x, *time)
+
+    def at(self, params: Any, x: Any, *time: Any) -> Any:
+        """Return the energy at other params."""
+        return self.function(x, params, *time)
+
+    def checked(self, params: Any) -> Any:
+        """Return params of a call as arrays; raise an error if they have another structure or other shapes."""
+        return self.trees.read_like(self.params, params, f"as given to {self.caller}")
+
+    def check_differentiable(self, start: Any, derivatives: Any) -> None:
+        """Raise ValueError for derivatives, first and second ones by member, that are not finite at initial states."""
+        for order, values in zip(("gradient", "second derivative"), derivatives, strict=True):
+            wrong = np.argwhere(~np.isfinite(values))
+            if len(wrong):
+                member, k = wrong[0].tolist()
+                of_member = f"[{member}]" if start.ndim > 1 else ""
+                x = start.reshape(-1, start.shape[-1])[member].tolist()
+                raise ValueError(
+                    f"x0{of_member} is {short(x, 80)}, where a {order} of the energy given to {self.caller} is "
+                    f"{values[member, k]}; give an energy that is differentiable twice there"
+                )
+
+
+def function_of(term: Any, kind: type) -> tuple[Any, float]:
+    """Return the function that an object of this kind calls for the value of a term, or None, and its factor."""
+    value, outer = without_multiples(getattr(term, "value", None))
+    function, inner = without_multiples(value.function if isinstance(value, kind) else None)
+    return function, math.prod(float(one.factor) for one in (*inner, *outer))
+
+
+def energy_of(system: Any, kind: type) -> Any:
+    """Return the energy of a system that has params, or None; raise TypeError for several of them."""
+    functions = [function_of(term, kind)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
+    found = [*{id(one): one for one in functions if isinstance(one, ParametrizedEnergy)}.values()]
+    if len(found) > 1:
+        raise TypeError(f"{system.name} has {len(found)} energies with params; write them as one function")
+    return found[0] if found else None

@@ -1,0 +1,181 @@
+"""Energies, and runs as differentiable functions, of PyTorch (``co.torch``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from coadjoint.errors import refuse_others
+from coadjoint.keyword_hints import not_by_position
+from coadjoint.optional_packages import require_packages
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
+from coadjoint.systems.system import System
+
+__all__ = ["energy", "solution"]
+
+TYPE_CHECKING = False
+
+
+def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
+    """Return an energy H(x, params) of PyTorch, such as a module, as a Hamiltonian at these parameters.
+
+    Use it to learn an energy in PyTorch: runs by `solution` take other ``params=`` and are differentiated by them.
+    Whatever the parameters are, the motion has the quadratic Casimirs of the algebra, to rounding. `GaussLegendre`
+    takes every such energy; for explicit steps take `coadjoint.jax.features`.
+
+    Parameters
+    ----------
+    function : torch.nn.Module or callable
+        A module of one state (n,), or of (x, t), in float64; or ``function(x, params)``, or ``function(x, params, t)``.
+        It returns one number by operations of PyTorch that are differentiable twice, without buffers that change.
+    params : tree of tensors of float64, optional
+        Weights, in dictionaries and lists. Required for a function; of a module they are its parameters by name. The
+        Hamiltonian has a copy of them.
+
+    Returns
+    -------
+    Hamiltonian
+        H(x) at these parameters, for a `LiePoissonSystem`, or a piece of a `SplitHamiltonian`. Compiled loops call it
+        in Python.
+
+    Raises
+    ------
+    ImportError
+        PyTorch is not installed; the extra is ``coadjoint[torch]``.
+    TypeError
+        The function takes other arguments or returns no number of float64, or a parameter is not of float64, which
+        modules have by ``module.double()``.
+    ValueError
+        In a system: the energy is not that of a state of its dimension.
+
+    See Also
+    --------
+    solution : Runs as functions of x0 and params.
+    coadjoint.jax.energy : The same in JAX, which compiles all steps of a run.
+    coadjoint.identify : Polynomials by linear regression.
+
+    Examples
+    --------
+    ::
+
+        import torch
+        import coadjoint as co
+
+        network = torch.nn.Sequential(torch.nn.Linear(3, 32), torch.nn.Tanh(), torch.nn.Linear(32, 1)).double()
+        system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(network), sign=-1)
+        run = co.torch.solution(system, (0, 1), method=co.GaussLegendre(1), step=0.1)
+        x = run((1.0, 0.2, 0.5), params=dict(network.named_parameters()))
+        x[-1, 0].backward()
+        network[0].weight.grad
+    """
+    require_packages("co.torch.energy", "torch")
+    from coadjoint.torch.energies import TorchEnergy, TorchFunction
+
+    made = TorchEnergy(function, params)
+    return Hamiltonian(*(TorchFunction(made, order) for order in range(3)))
+
+
+def solution(
+    ready: PreparedRun | System,
+    t_span: tuple[float, float],
+    save_every: int = 1,
+    *,
+    method: Any = None,
+    step: float | None = None,
+    t_eval: Any = None,
+) -> Callable[..., Any]:
+    """Return a run as a function of PyTorch, of the initial state and parameters of the system.
+
+    Use it to fit parameters or initial states, alone or together with a network, or the network that is the energy.
+    ``backward``, ``torch.autograd.grad``, ``torch.func.grad``, ``torch.func.jvp`` and ``torch.func.vmap`` apply to it.
+
+    Parameters
+    ----------
+    ready : PreparedRun or System
+        The prepared run, with a step, of a scheme with derivatives; or a system, with `step` and `method` as in
+        `prepare`.
+    t_span, save_every, t_eval
+        As in `PreparedRun.run`.
+    method, step
+        Scheme and step of a system; of a prepared run they are its own.
+
+    Returns
+    -------
+    callable
+        A function ``g(x0, *, attitude0=None, **parameters)`` of tensors of float64 on the processor, or numbers. It
+        returns the states, (k, n) for x0 of shape (n,) and (k, members, n) for (members, n); for a run prepared with an
+        attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
+        and default to these values; of an energy of `energy` they are ``params``. A system with other parameters is
+        prepared in each call, and the last one is cached; other params need no preparation.
+
+    Raises
+    ------
+    ImportError
+        PyTorch is not installed; the extra is ``coadjoint[torch]``.
+    TypeError
+        The run has no derivatives; a tensor is not of float64, or on another device; a step or scheme for a prepared
+        run, or none for a system; another scheme than `GaussLegendre`, forces, batches, inputs or attitudes beside an
+        energy of `energy`; or the callable is given parameters by position.
+    ValueError
+        For unknown names and wrong shapes; an initial state where an energy of `energy` has no derivatives.
+    IntegrationError
+        As in `integrate`. Beside energies of `energy` states are NaN in place of an error.
+
+    Notes
+    -----
+    Runs are those of the compiled loops, with first derivatives; ``vmap`` over initial states makes one ensemble, over
+    parameters and derivatives one run follows the other. With an energy of `energy` the steps are operations of
+    PyTorch: stages are iterated to rounding, at most 50 times, and differentiated as the solution of their equations,
+    to every order. The stages of all steps are stored for reverse mode.
+
+    See Also
+    --------
+    coadjoint.PreparedRun.vjp : Gradients without PyTorch.
+    coadjoint.jax.solution : Runs as functions of JAX, with explicit steps of learned energies, and long runs.
+
+    Examples
+    --------
+    ::
+
+        import torch
+        import coadjoint as co
+
+        body = co.prepare(co.systems.rigid_body(inertia=(1, 2, 2.5)), co.Splitting(order=4), step=0.05)
+        g = co.torch.solution(body, (0, 10), save_every=50)
+        inertia = torch.tensor([1.1, 2.0, 2.4], dtype=torch.float64, requires_grad=True)
+        g((1.0, 0.2, 0.5), inertia=inertia)[-1, 0].backward()
+        inertia.grad
+    """
+    require_packages("co.torch.solution", "torch")
+    from coadjoint.torch.compiled_runs import solve
+    from coadjoint.torch.energies import TorchFunction
+    from coadjoint.torch.stage_runs import StageRun
+
+    ready = prepared_of(ready, method, step, "co.torch.solution")
+    learned = type(ready) is PreparedRun and energy_of(ready.system, TorchFunction) is not None
+    compute: Callable[..., Any]
+    if learned:
+        compute = StageRun(ready, t_span, save_every, t_eval)
+    else:
+        compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.torch.solution"))
+
+    def solution_of(x0: Any, *others: Any, attitude0: Any = None, **parameters: Any) -> Any:
+        """Return the states of the run, and the attitudes if it was prepared with one; see `co.torch.solution`."""
+        if others:
+            known = ready.parameters if ready.inputs is None else ready.inputs.indices
+            raise not_by_position("the function of co.torch.solution", others, [NAME] if learned else known)
+        if NAME in parameters and not learned:
+            raise ValueError(
+                f"{ready.system.name} has no params; give co.torch.energy(function, params) as its Hamiltonian"
+            )
+        return compute(x0, attitude0, parameters)
+
+    return solution_of
+
+
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
+    __getattr__, __dir__ = refuse_others("co.torch", __all__)
