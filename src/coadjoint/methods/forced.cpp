@@ -24,6 +24,9 @@ struct Forced final : StepScheme {
     // One of both for each length: programs of states that are not large, without a group element, and other loops.
     std::vector<std::unique_ptr<FinishedStep<double>>> programs;
     std::vector<std::unique_ptr<InnerStep>> inner;
+    // Programs of a member with constants of its own, which is one of the lanes.
+    std::vector<std::unique_ptr<InnerLanes<LaneConstants>>> columns;
+    AlignedArray<Lanes<MEMBER_LANES>> state;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
     bool measured = true;  // whether all forces compute the changes of the energy themselves
@@ -32,13 +35,14 @@ struct Forced final : StepScheme {
     Forced(const StepTables& tables, const MemberConstants& constants)
         : tables(tables), constants(constants), layout(tables.whole),
           matrices(matrix_invariants(layout.rest, tables.coefficients)), n(tables.field.size),
-          tracked(matrices ? matrices->count() : tables.restored.size),
-          values(tracked), before(tracked), arguments(tables.restored.longest + 1),
+          tracked(matrices ? matrices->count() : tables.restored.size), state(constants.stride == 1 ? 0 : n), values(tracked), before(tracked), arguments(tables.restored.longest + 1),
           workspace(2 * tables.restored.longest + 2) {
         for (const int64_t* loop : layout.loops) {
             const int64_t square = tables.group.size * tables.group.size;
-            programs.push_back(square || n > WIDEST ? nullptr : FinishedStep<double>::of(loop, n));
-            inner.emplace_back(programs.back() ? nullptr : new InnerStep(loop, n, square));
+            const bool own = constants.stride != 1;
+            if (own) columns.emplace_back(new InnerLanes<LaneConstants>(loop, n, {constants.stride, constants.first - lane()}));
+            programs.push_back(own || square || n > WIDEST ? nullptr : FinishedStep<double>::of(loop, n));
+            inner.emplace_back(own || programs.back() ? nullptr : new InnerStep(loop, n, square));
         }
         for (const ForceTable* force : layout.forces)
             forces.emplace_back(new Force(*force, tables.field, tables.group, constants));
@@ -66,7 +70,23 @@ struct Forced final : StepScheme {
         return move_all(one, 1, x, dx, group, t, h, ends[1]);
     }
 
+    // The lane of a member with constants of its own.
+    int lane() const { return int(constants.first % MEMBER_LANES); }
+
+    int64_t take_column(InnerLanes<LaneConstants>& inner, double* x, double t, double h) {
+        for (int64_t i = 0; i < n; ++i) state.at[i] = Lanes<MEMBER_LANES>(x[i]);
+        Lanes<MEMBER_LANES> only(0.0);
+        only.set(lane(), 1.0);
+        inner.take(state.at, t, h, only > Lanes<MEMBER_LANES>(0.0));
+        for (int64_t i = 0; i < n; ++i) x[i] = state.at[i][lane()];
+        evaluations += int64_t(inner.evaluations[lane()]);
+        iterations += int64_t(inner.iterations[lane()]);
+        residual = inner.residual[lane()];
+        return int64_t(inner.status[lane()]);
+    }
+
     int64_t take_inner(const Substep& one, double* x, double* group, double t, double h) {
+        if (!columns.empty()) return take_column(*columns[one.loop], x, t, h);
         if (FinishedStep<double>* const program = programs[one.loop].get()) {
             program->take(x, t, h, true);
             evaluations += int64_t(program->evaluations);
@@ -99,7 +119,7 @@ struct Forced final : StepScheme {
         return DONE;
     }
 
-    std::unique_ptr<WideStep> wide_step() override;
+    std::unique_ptr<WideStep> wide_step(const LaneConstants* own) override;
 
     double value(int64_t i, const double* x, double t) {
         return value_of(tables.restored, constants, i, x, t, arguments.data(), workspace.data());
@@ -144,25 +164,28 @@ struct Forced final : StepScheme {
     }
 };
 
-// The same step of members as lanes, without group elements and memories.
+// The same step of members as lanes, without group elements and memories. `C` are the constants of one table, or those of
+// each member.
+template <class C>
 struct ForcedLanes final : WideStep {
     typedef Numbers<A>::Mask Mask;
     Forced& alone;
     const StepTables& tables;
+    const C constants;
     const int64_t n, tracked;
-    std::vector<std::unique_ptr<InnerLanes>> inner;
-    std::vector<std::unique_ptr<ForceLanes>> forces;
+    std::vector<std::unique_ptr<InnerLanes<C>>> inner;
+    std::vector<std::unique_ptr<ForceLanes<C>>> forces;
     AlignedArray<A> values, arguments;
     std::vector<double> workspace;
     std::vector<bool> known;  // which of the values are those of the state now
     Mask moving;
     A statuses, evaluated, iterated, residuals;
 
-    explicit ForcedLanes(Forced& alone)
-        : alone(alone), tables(alone.tables), n(alone.n), tracked(alone.tracked), values(tracked),
+    ForcedLanes(Forced& alone, const C& constants)
+        : alone(alone), tables(alone.tables), constants(constants), n(alone.n), tracked(alone.tracked), values(tracked),
           arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2), known(tracked) {
-        for (const int64_t* loop : alone.layout.loops) inner.emplace_back(new InnerLanes(loop, n));
-        for (const auto& force : alone.forces) forces.emplace_back(new ForceLanes(*force, tables.group, number));
+        for (const int64_t* loop : alone.layout.loops) inner.emplace_back(new InnerLanes<C>(loop, n, constants));
+        for (const auto& force : alone.forces) forces.emplace_back(new ForceLanes<C>(*force, tables.group, constants, number));
         work = lanes * alone.work;
     }
 
@@ -192,7 +215,7 @@ struct ForcedLanes final : WideStep {
         for (const auto& force : forces) force->begin(t, h);
         for (const Substep& one : alone.layout.substeps) {
             move_all(one, 0, x, dx, t, h, &one == &alone.layout.substeps.front());
-            InnerLanes& inner = *this->inner[one.loop];
+            InnerLanes<C>& inner = *this->inner[one.loop];
             inner.take(x, t + one.begin * h, one.length * h, moving);
             count(inner, moving);
             move_all(one, 1, x, dx, t, h, &one == &alone.layout.substeps.back());
@@ -226,7 +249,7 @@ struct ForcedLanes final : WideStep {
 
     // Apply the flow of a force to the members for which it is `acting`, and add its work.
     void move(size_t position, A* x, A* dx, double t, double tau, double frozen, int64_t side, Mask acting) {
-        ForceLanes& force = *forces[position];
+        ForceLanes<C>& force = *forces[position];
         const ForceTable& table = alone.forces[position]->table;
         const int64_t changing = alone.measured ? 0 : std::min(tracked, table.work_integrals);
         for (int64_t i = 0; i < changing; ++i)
@@ -240,15 +263,15 @@ struct ForcedLanes final : WideStep {
             const A before = values.at[i], now = value(i, x, frozen);
             A change = now - before;
             values.at[i] = now;
-            if (const double period = alone.constants.number_at<double>(tables.restored.period, i); period > 0.0)
+            if (const A period = constants.template number_at<A>(tables.restored.period, i); any(period > A(0.0)))
                 for (int lane = 0; lane < lanes; ++lane)
-                    change.set(lane, unwrapped(now[lane], before[lane], period) - before[lane]);
+                    if (period[lane] > 0.0) change.set(lane, unwrapped(now[lane], before[lane], period[lane]) - before[lane]);
             add(x, dx, table.work_integral + i, change, acting & (change - change == A(0.0)));
         }
     }
 
     A value(int64_t i, const A* x, double t) {
-        return value_of(tables.restored, SharedConstants{}, i, x, A(t), arguments.at, workspace.data());
+        return value_of(tables.restored, constants, i, x, A(t), arguments.at, workspace.data());
     }
 
     void add(A* x, A* dx, int64_t work_integral, const A& change, const Mask& where) {
@@ -259,9 +282,10 @@ struct ForcedLanes final : WideStep {
     }
 };
 
-std::unique_ptr<WideStep> Forced::wide_step() {
-    if (matrices || tables.group.size || constants.stride != 1) return nullptr;
-    return std::make_unique<ForcedLanes>(*this);
+std::unique_ptr<WideStep> Forced::wide_step(const LaneConstants* own) {
+    if (matrices || tables.group.size) return nullptr;
+    if (own) return std::make_unique<ForcedLanes<LaneConstants>>(*this, *own);
+    return std::make_unique<ForcedLanes<SharedConstants>>(*this, SharedConstants{});
 }
 
 }  // namespace

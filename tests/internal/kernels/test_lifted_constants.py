@@ -5,14 +5,18 @@ import pickle
 import subprocess
 import sys
 import types
+from contextlib import suppress
+from dataclasses import replace
 
 import numba
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.functions import compilation, machine_code
+from coadjoint.kernels.functions import compilation, contents, machine_code
 from coadjoint.kernels.functions.compiled_functions import compiled_function
+from coadjoint.kernels.tables.forces import _ForceTableBuilder
+from matrix.forces import FIRST_FITTING, force_on
 
 SIZE = 3
 X, T = np.array([0.7, -1.3, 2.1]), 0.375
@@ -295,3 +299,39 @@ def test_code_that_needs_what_a_process_has_not_is_compiled():
     name, needed, constants = pickle.loads(content[8 : 8 + size])
     head = pickle.dumps((name, [*needed, "no_such_symbol_anywhere"], constants))
     assert machine_code._loaded(len(head).to_bytes(8, "little") + head + content[8 + size :]) is None
+
+
+def functions_of_forces():
+    """Yield two functions of each registered force that has one, at other numbers."""
+    for number in (0, 1):
+        for name in co.forces.names():
+            plain = FIRST_FITTING[number]()
+            with suppress(TypeError, ValueError):
+                force = force_on(name, plain)
+                found = []
+                for factor in (1.0, 1.25):
+                    changed = {
+                        field: factor * getattr(force, field)
+                        for field in force.__dataclass_fields__
+                        if isinstance(getattr(force, field), float)
+                    }
+                    system = plain.with_forces(replace(force, **changed))
+                    reader = _ForceTableBuilder(system.unforced, 0, 0, 2, compiles=False)
+                    system.flows[0][1].describe_to(reader, system.unforced)
+                    found.append(reader.called)
+                if None not in found:
+                    yield f"{name} {number}", found
+
+
+def test_the_structure_of_functions_of_the_library_gives_their_digest(monkeypatch):
+    monkeypatch.setattr(contents, "_DIGESTS", {})
+    found = dict(functions_of_forces())
+    assert len(found) > 8
+    for name, pair in found.items():
+        for function in pair:
+            expected, quick = contents._lifted_contents(function), contents.lifted_contents(function)
+            assert quick.digest == expected.digest, name
+            assert quick.constants.tobytes() == expected.constants.tobytes(), name
+            assert quick.places == expected.places, name
+    # One of the library that calls one of the user has no entry: what that reads may change.
+    assert 4 < len(contents._DIGESTS) <= len(found)

@@ -79,13 +79,90 @@ class LiftedContents(NamedTuple):
 
 def lifted_contents(value: Any) -> LiftedContents:
     """Return the digest of a value apart from the floats that functions in it close over or have as defaults."""
+    walk = _Structure()
+    try:
+        structure = walk.of(value)
+    except (LookupError, RecursionError):
+        return _lifted_contents(value)
+    if structure not in _DIGESTS:
+        found = _lifted_contents(value)
+        if found.unknown:
+            return found
+        if len(_DIGESTS) == MAX_DIGESTS:
+            _DIGESTS.clear()
+        _DIGESTS[structure] = found.digest
+    return LiftedContents(_DIGESTS[structure], (), walk.all_constants(), walk.places)
+
+
+def _lifted_contents(value: Any) -> LiftedContents:
     walk = _Digester(False, lifts=True)
     try:
         walk.add(value)
     except RecursionError:
         walk.give_up("objects in objects, too deep to be followed")
-    constants = np.concatenate([np.zeros(0), *walk.constants])
-    return LiftedContents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)), constants, walk.places)
+    return LiftedContents(
+        walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)), walk.all_constants(), walk.places
+    )
+
+
+_DIGESTS: dict[Any, str] = {}
+"""Digests of functions of this library by their structure, of which there are as many as kinds of these functions."""
+MAX_DIGESTS = 4096
+
+
+class _Lifting:
+    """A traversal of functions in which floats are constants."""
+
+    def __init__(self) -> None:
+        self.constants: list[NDArray[np.float64]] = []
+        self.places: dict[int, dict[str, Place]] = {}
+        self._count = 0
+
+    def all_constants(self) -> NDArray[np.float64]:
+        return np.concatenate([np.zeros(0), *self.constants])
+
+    def lifted(self, function: types.FunctionType, name: str, value: Any) -> Any:
+        """Return a value that a function reads, or the place of one that is a constant, which no function can read."""
+        kind = _kind_of_constant(value)
+        if kind is None:
+            return value
+        numbers = np.array(value, dtype=np.float64)
+        place = self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
+        self.constants.append(numbers.ravel())
+        self._count += numbers.size
+        return place
+
+
+class _Structure(_Lifting):
+    """What determines the digest of functions of this library, which are not followed into globals, as a key.
+
+    It is found in a fraction of the time of the digest. LookupError for anything else.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._visited: dict[int, int] = {}
+
+    def of(self, value: Any) -> Any:
+        kind = type(value)
+        if kind in PLAIN:
+            return kind, repr(value)
+        if kind is tuple:
+            return kind, *map(self.of, value)
+        if (number := self._visited.get(id(value))) is not None:
+            return number
+        if kind is not types.FunctionType or not is_own(value.__module__ or ""):
+            raise LookupError
+        self._visited[id(value)] = len(self._visited)
+        held: list[Any] = [value.__code__]
+        defaults, cells = (
+            {name: self.lifted(value, name, one) for name, one in of.items()}
+            for of in (defaults_of(value), cells_of(value))
+        )
+        for of in (cells, defaults, value.__kwdefaults__ or {}):
+            held += [(name, self.of(one)) for name, one in of.items()]
+            held.append(None)
+        return tuple(held)
 
 
 def compilation_key(function: Any) -> Any:
@@ -94,14 +171,13 @@ def compilation_key(function: Any) -> Any:
     return object() if unknown else digest
 
 
-class _Digester:
+class _Digester(_Lifting):
     """One traversal: functions and objects are numbered in order of first visit, data are added by content."""
 
     def __init__(self, written: bool, lifts: bool = False) -> None:
+        super().__init__()
         self.digest, self.unknown, self.written = hashlib.blake2b(digest_size=32), list[str](), written
-        self._lifts, self._count = lifts, 0
-        self.constants: list[NDArray[np.float64]] = []
-        self.places: dict[int, dict[str, Place]] = {}
+        self._lifts = lifts
         self._visited: dict[int, tuple[int, Any]] = {}  # with the objects, so that no id is used again
 
     def update(self, *words: Any) -> None:
@@ -114,15 +190,7 @@ class _Digester:
         return ["unknown", what]
 
     def lifted(self, function: types.FunctionType, name: str, value: Any) -> Any:
-        """Return a value that a function reads, or the place of one that is a constant, which no function can read."""
-        kind = _kind_of_constant(value) if self._lifts else None
-        if kind is None:
-            return value
-        numbers = np.array(value, dtype=np.float64)
-        place = self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
-        self.constants.append(numbers.ravel())
-        self._count += numbers.size
-        return place
+        return super().lifted(function, name, value) if self._lifts else value
 
     def add(self, value: Any) -> None:
         """Add a value by its content."""

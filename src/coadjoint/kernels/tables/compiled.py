@@ -223,12 +223,16 @@ FIELDS_OF_LIBRARY_ADDRESSES = ("step", "tables.whole")
 
 @dataclass(frozen=True)
 class CompiledTables:
-    """Tables of a compiled loop, objects kept alive, sources of constants; `referenced`: tables read by address."""
+    """Tables of a compiled loop, objects kept alive, sources of constants.
+
+    `referenced`: tables read by address, whose constants members may have `in_columns`.
+    """
 
     tables: Any
     keepalive: tuple[Any, ...] = ()
     sources: Callable[[], Sources] = unrecorded
     referenced: Mapping[int, Any] = field(default_factory=dict)
+    in_columns: bool = False
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""

@@ -96,7 +96,7 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     found = in_python
     if kind in AFFINE_KINDS:
         found = FlowCoefficients("AFFINE", first)
-        if kind == "CONSTANT" or (kind == "DAMPING" and not table.amplitude):
+        if kind == "CONSTANT" or (kind == "DAMPING" and not table.amplitude.any()):
             found = _of_numbers(system, j, order, table, entries, found)
     elif kind in ("OF_STATE", "BY_FLOW"):
         found = (

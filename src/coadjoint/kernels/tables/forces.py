@@ -6,7 +6,7 @@ import ctypes
 import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, KernelFunction, compiled_function
 from coadjoint.kernels.functions.contents import compilation_key
-from coadjoint.kernels.interface import codes
+from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.compiled import CompiledTables, as_structure, raised_by
 from coadjoint.kernels.tables.field import field_of
@@ -57,7 +57,7 @@ class ForceTable(NamedTuple):
     rate: NDArray[np.float64]
     aim: NDArray[np.float64]
     function: NDArray[np.int64]
-    amplitude: float = 0.0
+    amplitude: NDArray[np.float64] = NO_NUMBERS
     seed: int = 0
     stream: int = 0
     sets: int = 0
@@ -150,14 +150,14 @@ class _ForceTableBuilder:
         begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
         direction = np.array([a for directions in noise.sets for a in directions], dtype=np.int64)
         set_fields = {"sets": len(noise.sets), "begin": begin, "direction": direction}
-        noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
+        noise_fields = {"amplitude": np.array([noise.amplitude]), "seed": noise.seed, "stream": noise.stream}
         return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields, **of_spins)
 
     def thermal(self, rate: NDArray[Any], noise: ThermalNoise | None) -> ForceTable:
         if noise is None:
             return self._table("DAMPING", rate, np.zeros(self.n))
         begin = np.searchsorted(noise.rows, np.arange(self.n + 1)).astype(np.int64)
-        fields = {"amplitude": 1.0, "seed": noise.seed, "stream": noise.stream}
+        fields = {"amplitude": np.ones(1), "seed": noise.seed, "stream": noise.stream}
         noisy = {"begin": begin, "direction": noise.columns, "basis": noise.values, **fields}
         return self._table("DAMPING", rate, np.zeros(self.n), **noisy)
 
@@ -167,7 +167,7 @@ class _ForceTableBuilder:
         columns = [[*map(places.get, term.indices)] if term.energies else term.indices for term in terms.terms]
         leaders = [terms.terms[members[0]] for members in terms.sets]
         if self._compiles:
-            self.keepalive = tuple(field_table(with_hamiltonian(self._system, H)) for H in energies.values())
+            self.keepalive = tuple(_field_of_energy(self._system, H) for H in energies.values())
         begin = [np.cumsum([0, *map(len, rows)]) for rows in (terms.sets, columns)]
         return self._table(
             "HAMILTONIAN_NOISE",
@@ -231,7 +231,7 @@ class _ForceTableBuilder:
         )
         if noise is None:
             return table
-        return table._replace(amplitude=noise.amplitude, seed=noise.seed, stream=noise.stream)
+        return table._replace(amplitude=np.array([noise.amplitude]), seed=noise.seed, stream=noise.stream)
 
     def matrix_noise(
         self, system: Any, elements: NDArray[Any], commuting: bool, seed: int, stream: int, levels: int
@@ -243,7 +243,7 @@ class _ForceTableBuilder:
             NO_NUMBERS,
             NO_NUMBERS,
             _products_of_noise(system, levels),
-            amplitude=float(commuting),
+            amplitude=np.array([float(commuting)]),
             seed=seed,
             stream=stream,
             sets=len(elements),
@@ -402,6 +402,12 @@ def field_table(system: Any) -> KernelFunction:
     return FieldTable(ctypes.addressof(structure), (structure, owners), lambda: (field_table, (system,)))
 
 
+@lru_cache(maxsize=64)
+def _field_of_energy(system: Any, H: Any) -> KernelFunction:
+    """Return the field of another Hamiltonian on a system, which members that have the function share."""
+    return field_table(with_hamiltonian(system, H))
+
+
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
     if not system.has_matrices:
@@ -417,7 +423,7 @@ def forced_loop(
 ) -> CompiledLoop:
     """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order."""
     work_integrals = work_integrals_of(system)
-    described = _tables_of_forces(system, work_integrals, order, {})
+    described = _tables_of_forces(system, work_integrals, order, {}, system.unforced)
     tables = [table for table, _ in described]
     keepalive = [owner for _, owners in described for owner in owners]
     hamiltonian_part = system.unforced
@@ -449,21 +455,32 @@ def forced_loop(
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
     referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
-    return loop_over(STEP_LOOP, step, work_integrals=work_integrals, referenced=referenced)
+    # Members with constants of their own are lanes of one step.
+    in_columns = (
+        representation is None
+        and not hamiltonian_part.has_matrices
+        and system.dim <= limit("WIDEST")
+        and all(one.name != STEP_LOOP for one in inner.values())
+    )
+    return loop_over(STEP_LOOP, step, work_integrals=work_integrals, referenced=referenced, in_columns=in_columns)
 
 
 def _tables_of_forces(
-    system: Any, work_integrals: Sequence[tuple[str, str]], order: int, known: dict[Any, Any]
+    system: Any, work_integrals: Sequence[tuple[str, str]], order: int, known: dict[Any, Any], common: Any
 ) -> list[tuple[ForceTable, tuple[KernelFunction, ...]]]:
-    """Return the tables of flows with their functions; of those that do not depend on the system, by id in `known`."""
+    """Return the tables of flows with their functions; of those that do not depend on the energy, by id in `known`, as
+    on a `common` system of the same algebra.
+    """
     labels, found = [label for label, _ in work_integrals], []
     for k, force in system.flows:
         described = known.get(id(force))
         if described is None:
+            plain = system.unforced
+            shared = force is system.forces[k] and not force._needs_energy(plain)
             first, count = labels.index(system.labels[k]), labels.count(system.labels[k])
-            reader = _ForceTableBuilder(system.unforced, first, count, order)
-            described = force.describe_to(reader, system.unforced), reader.keepalive
-            if force is system.forces[k] and not force._needs_energy(system.unforced):
+            reader = _ForceTableBuilder(common if shared else plain, first, count, order)
+            described = force.describe_to(reader, common if shared else plain), reader.keepalive
+            if shared:
                 known[id(force)] = described
         found.append(described)
     return found
@@ -506,7 +523,7 @@ def _numbers_in(system: Any, flow: int, table: ForceTable) -> dict[str, NDArray[
     first, k = CoefficientNumbers.of(system.unforced.hamiltonian.terms()).size, system.flows[flow][0]
     if table.kind == codes("ForceKind")["CONSTANT"]:
         return {"aim": first + k * system.dim + np.arange(system.dim)}
-    sizes = [np.size(getattr(table, name)) for name in NUMBERS]
+    sizes = [len(getattr(table, name)) for name in NUMBERS]
     starts = first + len(system.forces) * system.dim + flow * SPACING + np.cumsum([0, *sizes])
     return {name: start + np.arange(size) for name, start, size in zip(NUMBERS, starts, sizes, strict=False)}
 
@@ -532,7 +549,7 @@ def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:
     tables: dict[int, list[Any]] = {}
     for column, m in enumerate(stack.numbers.tolist()):
         with suppress(TypeError, ValueError):  # raised again, with the number of the member
-            tables[column] = _tables_of_forces(stack.systems[m], work_integrals, order, known)
+            tables[column] = _tables_of_forces(stack.systems[m], work_integrals, order, known, stack.first.unforced)
             groups.setdefault(tuple(_structure_of_force(table) for table, _ in tables[column]), []).append(column)
     return [_with_numbers(stack.take(np.array(columns)), [tables[c] for c in columns]) for columns in groups.values()]
 
@@ -540,7 +557,10 @@ def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:
 def _structure_of_force(table: Any) -> Hashable:
     """Return what members that share the structure of a table have in common."""
     common = [getattr(table, name) for name in table._fields if name not in NUMBERS]
-    sizes = [np.size(getattr(table, name)) for name in NUMBERS]
+    common.append(table.amplitude > 0.0)  # whether there is noise
+    if table.kind == codes("ForceKind")["HAMILTONIAN_NOISE"]:
+        common.append(table.aim)  # numbers of midpoint rules
+    sizes = [len(getattr(table, name)) for name in NUMBERS]
     return *sizes, *(one.tobytes() if isinstance(one, np.ndarray) else one for one in common)
 
 
@@ -552,7 +572,7 @@ def _with_numbers(stack: SystemStack, members: list[Any]) -> SystemStack:
         if all(table is tables[0] for table in tables):
             continue
         for name, numbers in _numbers_in(system, j, tables[0]).items():
-            columns = [np.atleast_1d(getattr(table, name)).view(np.float64) for table in tables]
+            columns = [getattr(table, name).view(np.float64) for table in tables]
             found = np.ascontiguousarray(np.stack(columns, axis=1))
             differ = different(found)
             rows.append(numbers[differ])

@@ -68,7 +68,12 @@ class _Block:
 
     def __init__(self, tables: Sequence[_Table], fields_of_tables: Sequence[Sequence[TableField]]) -> None:
         self.kinds = [table.kind for table in tables]
-        self.word_offsets = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
+        parents = sorted({table.parent for table in tables if table.parent >= 0})
+        # Arrays of addresses follow the structures.
+        address_arrays = [tables[number].value(ADDRESS_FIELD) for number in parents]
+        sizes = [ctypes.sizeof(kind) // 8 for kind in self.kinds] + [len(array) for array in address_arrays]
+        self.word_offsets = list(accumulate(sizes, initial=0))
+        arrays_at = dict(zip(parents, self.word_offsets[len(tables) :], strict=False))
         self.start: dict[tuple[int, str], int] = {}
         pieces, self.pointers, self.scalars, count = [np.zeros(1)], [], [], 1
         for number, fields in enumerate(fields_of_tables):
@@ -83,9 +88,15 @@ class _Block:
                 pieces.append(np.ascontiguousarray(array).view(np.float64))
                 count += len(array)
         self.template = np.concatenate(pieces)
-        self.raw = np.concatenate([np.frombuffer(bytes(table.structure), dtype=np.int64) for table in tables])
-        self.referenced = [
-            (number, self.start[table.parent, ADDRESS_FIELD] + table.index)
+        structures = [np.frombuffer(bytes(table.structure), dtype=np.int64) for table in tables]
+        self.raw = np.concatenate([*structures, *address_arrays])
+        # Words that hold the addresses of others, by their positions.
+        self.addresses = [
+            (self.word_offsets[number] + tables[number].fields[ADDRESS_FIELD].offset // 8, start)
+            for number, start in arrays_at.items()
+        ]
+        self.addresses += [
+            (arrays_at[table.parent] + table.index, self.word_offsets[number])
             for number, table in enumerate(tables)
             if table.parent >= 0
         ]
@@ -97,8 +108,8 @@ class _Block:
             raw[position] = base_address + columns * start
         for position, start in self.scalars:
             raw[position] = block.view(np.int64)[columns * start]
-        for number, position in self.referenced:
-            block.view(np.int64)[position] = raw.ctypes.data + 8 * self.word_offsets[number]
+        for position, word in self.addresses:
+            raw[position] = raw.ctypes.data + 8 * word
         scheme, watch = (
             kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds[:2], self.word_offsets, strict=False)
         )
@@ -123,7 +134,6 @@ class WritableTables:
         tangled: Sequence[int] = (),
     ) -> None:
         tables = self._tables = _tables_of(loop, watch)
-        parents = {table.parent for table in tables}
         wanted = np.array(sorted(indices), dtype=np.int64)
         given = np.array([indices[source] for source in wanted.tolist()], dtype=np.int64)
         others = np.array(tangled, dtype=np.int64)
@@ -148,8 +158,8 @@ class WritableTables:
                     self._sums.append((number, path, chosen))
         written = {(number, path) for number, path, _ in (*self._multiples, *self._sums)}
         tokens = {tables[number].fields[name].token for number, name in written}
-        self.separate_tables = len(tables) > 2 or not tokens <= PER_MEMBER_TYPES
-        written |= {(number, ADDRESS_FIELD) for number in parents if number >= 0}
+        in_columns = all(one.in_columns for one in (loop, watch) if one.referenced)
+        self.separate_tables = not (in_columns and tokens <= PER_MEMBER_TYPES)
         self._shared = _Block(
             tables,
             [[field for name, field in table.fields.items() if (k, name) in written] for k, table in enumerate(tables)],

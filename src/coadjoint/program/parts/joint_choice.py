@@ -30,6 +30,7 @@ from coadjoint.program.parts.decompose import (
     angles_of,
     at_linear_values,
     candidates,
+    decompose,
     leave_out,
     remember,
     sample_points,
@@ -48,7 +49,7 @@ from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_pa
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, SparseRows
 from coadjoint.program.table import term_table
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped, stacks_of
+from coadjoint.systems.system_stacks import SystemStack, counts_of, different, grouped, stacks_of
 from coadjoint.systems.vanishing_products import without_cancelling
 
 Floats = NDArray[np.float64]
@@ -188,6 +189,9 @@ MAX_STACKED = 4096  # systems compared at once
 def joint_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
     """Return systems by their decompositions, with the coefficients that are split; others are decomposed alone."""
     system = stack.first
+    if not np.any(different(stack.coefficients)):  # the energy is that of one system
+        shift = [factor for _, factor in decompose(system, choice).choice.shift]
+        return [stack._replace(factors=np.tile(np.array(shift).reshape(-1, 1), stack.size))]
     if system.dim > MAX_PATTERN_SIZE or choice in BODY_FLOW_CHOICES:
         return []
     linear = getattr(choice, "linear", ())

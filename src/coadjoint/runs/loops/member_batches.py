@@ -179,7 +179,11 @@ def groups_of(
     # Members that fill the lanes, or whose tables cannot be shared, are a group of their own.
     block = limit("MOST_LANES")
     _, system, counts = np.unique(owners * (numbers.max() + 1) + numbers, return_inverse=True, return_counts=True)
-    alone = (counts[system] >= block) | np.array([one is not None and one.separate_tables for one in tables])[owners]
+    separate = [
+        bool(loop.referenced) if one is None else one.separate_tables
+        for one, loop in zip(tables, prepared, strict=True)
+    ]
+    alone = (counts[system] >= block) | np.array(separate)[owners]
     keys: dict[Hashable, int] = {}
     key = np.zeros(len(prepared), dtype=np.int64)
     for k in np.unique(owners[~alone]).tolist():

@@ -156,10 +156,10 @@ TABLE(StepTables, STEP_FIELDS)
 // The selective decay of a matrix of `extent` rows, at `position`, has the integers and numbers of its stream in
 // `direction`, with what forces/selective_decay.hpp adds, and in `basis`; that of a vector has an extent of zero.
 #define FORCE_FIELDS(_)                                                                                              \
-    _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(numbers, rate)         \
-    _(numbers, aim) _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream)                   \
+    _(integer, kind) _(integer, work_integral) _(integer, work_integrals) _(integer, shape) _(constants, rate)         \
+    _(constants, aim) _(addresses, function) _(constants, amplitude) _(integer, seed) _(integer, stream)               \
     _(integer, sets) _(integers, begin) _(integers, direction) _(integer, extent) _(integer, position)               \
-    _(numbers, turning) _(numbers, basis)
+    _(constants, turning) _(constants, basis)
 TABLE(ForceTable, FORCE_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \

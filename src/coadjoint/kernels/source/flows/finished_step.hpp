@@ -1,5 +1,5 @@
 // One step of a program inside another step, from a finished state to a finished state, of one member or of members as
-// lanes.
+// lanes, with the constants of the tables or those of each member.
 #pragma once
 
 #include <memory>
@@ -11,22 +11,22 @@ namespace coadjoint {
 EXPORT int64_t flow_advance_inside(const FlowTables* tables, const Watch* watch, const MemberRange* range,
                                    const Arrays* arrays, const Schedule* schedule, int64_t k0, int64_t k1);
 
-template <class A>
+template <class A, class C = SharedConstants>
 class FinishedStep {
   public:
     typedef typename Numbers<A>::Mask Mask;
     A status{0.0}, evaluations;
 
-    FinishedStep(const FlowTables& tables, int64_t size)
-        : evaluations(double(rows_of_step(tables, 1).size())), tables(tables), size(size), work(lanes * work_of_flows(tables)),
+    FinishedStep(const FlowTables& tables, int64_t size, const C& constants)
+        : evaluations(double(rows_of_step(tables, 1).size())), tables(tables), constants(constants), size(size), work(lanes * work_of_flows(tables)),
           momentum(2 * size), scratch(3 * size), angles(tables.longest) {
         if (lanes == 1) angles.use_properties(tables);
     }
 
     // The step of the loop and the tables at these addresses; null if the loop is not that of programs.
-    static std::unique_ptr<FinishedStep> of(const int64_t* addresses, int64_t size) {
+    static std::unique_ptr<FinishedStep> of(const int64_t* addresses, int64_t size, const C& constants = C{}) {
         if (addresses[0] != reinterpret_cast<int64_t>(&flow_advance_inside)) return nullptr;
-        return std::make_unique<FinishedStep>(*reinterpret_cast<const FlowTables*>(addresses[1]), size);
+        return std::make_unique<FinishedStep>(*reinterpret_cast<const FlowTables*>(addresses[1]), size, constants);
     }
 
     // Move the members that are `moving` from the time t for the time h. One whose step is not finite stays, and has a
@@ -51,6 +51,7 @@ class FinishedStep {
   private:
     static constexpr int lanes = Numbers<A>::lanes;
     const FlowTables& tables;
+    const C constants;
     const int64_t size, work;
     AlignedArray<A> momentum, scratch;
     AngleWorkspace<A> angles;
@@ -62,14 +63,14 @@ class FinishedStep {
         const Vectors<A> moved{momentum.at, momentum.at + size, 1, scratch.at, long_times};
         if constexpr (lanes == 1) {
             angles.partial_step = partial;
-            const auto flows = tables.compensated ? sweep<CORRECTED, false, double, GroupRows, SharedConstants>
-                                                  : sweep<PLAIN, false, double, GroupRows, SharedConstants>;
-            flows(tables, SharedConstants{}, rows, moved, Vectors<GroupRows>{}, t, h, angles);
+            const auto flows = tables.compensated ? sweep<CORRECTED, false, double, GroupRows, C>
+                                                  : sweep<PLAIN, false, double, GroupRows, C>;
+            flows(tables, constants, rows, moved, Vectors<GroupRows>{}, t, h, angles);
         } else {
-            const RowsTarget<A, A, SharedConstants> target{{}, moved, {}, partial, nullptr};
-            const RowsTarget<A, A, SharedConstants>* const targets = &target;
-            const auto flows = tables.compensated ? sweep_groups<CORRECTED, false, A, A, SharedConstants>
-                                                  : sweep_groups<PLAIN, false, A, A, SharedConstants>;
+            const RowsTarget<A, A, C> target{constants, moved, {}, partial, nullptr};
+            const RowsTarget<A, A, C>* const targets = &target;
+            const auto flows = tables.compensated ? sweep_groups<CORRECTED, false, A, A, C>
+                                                  : sweep_groups<PLAIN, false, A, A, C>;
             flows(tables, &targets, 1, rows, A(t), h, angles);
         }
     }

@@ -34,10 +34,10 @@ class Force {
             spins.reset(new SpinBath(table, field, constants));
             if (*spins) return;
             spins.reset();
-            orbit.reset(new OrbitBath<double>(table, field, group, constants));
+            orbit.reset(new OrbitBath<double, MemberConstants>(table, field, group, constants));
         }
         if (table.kind != HAMILTONIAN_NOISE) return;
-        noise.reset(new HamiltonianNoise<double>(table, field, group, constants));
+        noise.reset(new HamiltonianNoise<double, MemberConstants>(table, field, group, constants));
         increments.reset(new BrownianIncrements(table, table.position, table.extent, 0));
     }
 
@@ -55,9 +55,9 @@ class Force {
         iterations = evaluations = 0;
         residual = std::numeric_limits<double>::quiet_NaN();
         switch (table.kind) {
-            case DAMPING: return damp(x, one.data(), tau), table.amplitude > 0.0 ? agitate(x, t, tau, member) : DONE;
-            case CONSTANT: return push(x, tau, table.aim), DONE;
-            case OF_TIME: return push(x, tau, mean_torque(t, tau)), defined(x);
+            case DAMPING: return damp(x, t, tau, member);
+            case CONSTANT: return push(x, tau, table.aim, constants), DONE;
+            case OF_TIME: return push(x, tau, mean_torque(t, tau), SharedConstants{}), defined(x);
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
             case HAMILTONIAN_NOISE: return shake_by(x, element, t, tau, member, side);
@@ -77,6 +77,7 @@ class Force {
     double change() const { return spins->change; }
 
   private:
+    template <class C>
     friend class ForceLanes;
     const Field& field;
     const MemberConstants constants;
@@ -87,8 +88,8 @@ class Force {
     double prepared_for = std::numeric_limits<double>::quiet_NaN(), spread_for = prepared_for;
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
-    std::unique_ptr<OrbitBath<double>> orbit;
-    std::unique_ptr<HamiltonianNoise<double>> noise;
+    std::unique_ptr<OrbitBath<double, MemberConstants>> orbit;
+    std::unique_ptr<HamiltonianNoise<double, MemberConstants>> noise;
     std::unique_ptr<BrownianIncrements> increments;
     const std::unique_ptr<MatrixForce> matrix;
     std::unique_ptr<SelectiveDecay> decay;
@@ -96,14 +97,21 @@ class Force {
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
         ++evaluations;
-        call(table.function[0], y, t, out);
+        call(constants.address(table.function, 0, 0), y, t, out);
     }
 
-    // x' = -R (x - aim): x + (exp(-R tau) - 1) (x - aim).
-    template <class A>
-    void damp(A* x, A* from, double tau) {
-        if (prepared_for != tau) prepare(tau);
-        for (int64_t i = 0; i < n; ++i) from[i] = x[i] - A(table.aim[i]);
+    double number(const double* from, int64_t position) const { return constants.number_at<double>(from, position); }
+
+    int64_t damp(double* x, double t, double tau, int64_t member) {
+        prepare(tau);
+        damp_by(expm1.data(), x, one.data(), constants);
+        return number(table.amplitude, 0) > 0.0 ? agitate(x, t, tau, member) : int64_t(DONE);
+    }
+
+    // x' = -R (x - aim): x + (exp(-R tau) - 1) (x - aim), of one member or of members as lanes.
+    template <class A, class E, class C>
+    void damp_by(const E* expm1, A* x, A* from, const C& constants) const {
+        for (int64_t i = 0; i < n; ++i) from[i] = x[i] - constants.template number_at<A>(table.aim, i);
         for (int64_t i = 0; i < n; ++i) {
             if (table.shape == FULL) {
                 A sum(0.0);
@@ -116,25 +124,26 @@ class Force {
     }
 
     void prepare(double tau) {
+        if (prepared_for == tau) return;
         prepared_for = tau;
         const int64_t count = table.shape == FULL ? n * n : table.shape == DIAGONAL ? n : 1;
         expm1.assign(count, 0.0);
         if (table.shape != FULL) {
-            for (int64_t i = 0; i < count; ++i) expm1[i] = growth_by(-table.rate[i] * tau).expm1;
+            for (int64_t i = 0; i < count; ++i) expm1[i] = growth_by(-number(table.rate, i) * tau).expm1;
             return;
         }
         // exp(D) - 1 by its series for D halved until its norm is below 1/2, doubled again as often.
         double norm = 0.0;
         for (int64_t i = 0; i < n; ++i) {
             double sum = 0.0;
-            for (int64_t j = 0; j < n; ++j) sum += absolute(table.rate[i * n + j] * tau);
+            for (int64_t j = 0; j < n; ++j) sum += absolute(number(table.rate, i * n + j) * tau);
             norm = larger(norm, sum);
         }
         int64_t halvings = 0;
         for (double left = norm; left > 0.5 && halvings < MOST_HALVINGS; left *= 0.5) ++halvings;
         std::vector<double> D(count), power(count), image(count);
         const double scale = -tau * power_of_two(-halvings);
-        for (int64_t i = 0; i < count; ++i) D[i] = power[i] = expm1[i] = table.rate[i] * scale;
+        for (int64_t i = 0; i < count; ++i) D[i] = power[i] = expm1[i] = number(table.rate, i) * scale;
         for (int64_t k = 2; k <= SERIES_OF_HALF; ++k) {
             multiply(D, power, 1.0 / double(k), image);
             power.swap(image);
@@ -152,21 +161,24 @@ class Force {
     int64_t agitate(double* x, double t, double tau, int64_t member) {
         InterruptCheck::of_this_call().after(64 * n);
         DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(n, three.data());
-        spread_out(x, three.data(), tau);
+        prepare_spread(tau);
+        spread_out(spread.data(), x, three.data(), constants);
         return finite(n, x) ? DONE : OVERFLOWED;
     }
 
-    template <class A>
-    void spread_out(A* x, const A* deviates, double tau) {
-        if (spread_for != tau) {
-            spread_for = tau;
-            spread.resize(n);
-            for (int64_t i = 0; i < n; ++i) spread[i] = std::sqrt(-growth_by(-2.0 * table.rate[i] * tau).expm1);
-        }
+    void prepare_spread(double tau) {
+        if (spread_for == tau) return;
+        spread_for = tau;
+        spread.resize(n);
+        for (int64_t i = 0; i < n; ++i) spread[i] = std::sqrt(-growth_by(-2.0 * number(table.rate, i) * tau).expm1);
+    }
+
+    template <class A, class E, class C>
+    void spread_out(const E* spread, A* x, const A* deviates, const C& constants) const {
         for (int64_t i = 0; i < n; ++i) {
             A sum(0.0);
             for (int64_t e = table.begin[i]; e < table.begin[i + 1]; ++e)
-                sum = fma(A(table.basis[e]), deviates[table.direction[e]], sum);
+                sum = fma(constants.template number_at<A>(table.basis, e), deviates[table.direction[e]], sum);
             x[i] = fma(A(spread[i]), sum, x[i]);
         }
     }
@@ -182,9 +194,9 @@ class Force {
         }
     }
 
-    template <class A>
-    void push(A* x, double tau, const double* torque) const {
-        for (int64_t i = 0; i < n; ++i) x[i] = fma(A(tau), A(torque[i]), x[i]);
+    template <class A, class C>
+    void push(A* x, double tau, const double* torque, const C& constants) const {
+        for (int64_t i = 0; i < n; ++i) x[i] = fma(A(tau), constants.template number_at<A>(torque, i), x[i]);
     }
 
     // The mean of a function of time by Gauss quadrature with five points, exact up to degree nine. It takes no state.
@@ -253,9 +265,9 @@ class Force {
 
     // The deviates of a sample, by its number, and those that are the same in all samples; zeros between samples.
     void measure(int64_t k, double t, double tau, int64_t member, double* out) const {
-        const double number = std::floor(t / table.rate[k] + 0.5);
+        const double period = this->number(table.rate, k), number = std::floor(t / period + 0.5);
         std::fill_n(out, 2 * table.extent, 0.0);
-        if (!(absolute(t - table.rate[k] * number) < 0.25 * tau)) return;
+        if (!(absolute(t - period * number) < 0.25 * tau)) return;
         const uint64_t seed = uint64_t(table.direction[2 * k]), stream = uint64_t(table.direction[2 * k + 1] + member);
         DeviateStream(seed, stream, number, OF_SAMPLE).draw(0, table.extent, out);
         DeviateStream(seed, stream, 0.0, OF_RUN).draw(0, table.extent, out + table.extent);
@@ -283,17 +295,17 @@ class Force {
     // changes, the coordinate by which it is multiplied, or -1, and the number of its motion.
     int64_t kick(double* x, double t, double tau, int64_t member) {
         DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).draw(0, table.extent, one.data());
-        return add_kicks(x, one.data(), two.data(), tau), defined(x);
+        return add_kicks(x, one.data(), two.data(), tau, constants), defined(x);
     }
 
-    template <class A>
-    void add_kicks(A* x, const A* drawn, A* change, double tau) const {
+    template <class A, class C>
+    void add_kicks(A* x, const A* drawn, A* change, double tau, const C& constants) const {
         const A size(std::sqrt(tau));
         std::fill_n(change, n, A(0.0));
         for (int64_t e = 0; e < table.sets; ++e) {
             const int64_t* const at = table.direction + 3 * e;
             const A value = at[1] < 0 ? A(1.0) : x[at[1]];
-            change[at[0]] = fma(A(table.rate[e]) * value, size * drawn[at[2]], change[at[0]]);
+            change[at[0]] = fma(constants.template number_at<A>(table.rate, e) * value, size * drawn[at[2]], change[at[0]]);
         }
         for (int64_t i = 0; i < n; ++i) x[i] += change[i];
     }
@@ -304,7 +316,7 @@ class Force {
     }
 
     int64_t lose_casimir(double* x, double t, double tau) {
-        return counted(*decay, decay->flow(table.rate[0], x + table.position, t, tau));
+        return counted(*decay, decay->flow(number(table.rate, 0), x + table.position, t, tau));
     }
 
     int64_t rotate_spins(double* x, double t, double tau, int64_t member) {

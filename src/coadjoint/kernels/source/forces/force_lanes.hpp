@@ -1,4 +1,5 @@
-// The flow of one force on members as lanes, each with the bits that it has alone.
+// The flow of one force on members as lanes, of one table or with constants of their own, each with the bits that it has
+// alone.
 #pragma once
 
 #include "forces/force.hpp"
@@ -6,6 +7,8 @@
 
 namespace coadjoint {
 
+// `C` are the constants of one table, or those of each member.
+template <class C>
 class ForceLanes {
   public:
     typedef Lanes<MEMBER_LANES> A;
@@ -13,16 +16,29 @@ class ForceLanes {
     // Of each member after a flow; counts are whole numbers. `change` is that of the energy, if the force measures it.
     A status, evaluations, iterations, residual, change;
 
-    ForceLanes(Force& force, const GroupField& group, const int64_t* number)
-        : status(0.0), evaluations(0.0), iterations(0.0), residual(0.0), change(0.0), force(force), table(force.table),
-          n(force.n), number(number), one(n), two(std::max(n, table.extent)), before(n), row(n) {
-        if (table.kind == HAMILTONIAN_NOISE) {
-            noise.reset(new HamiltonianNoise<A>(table, force.field, group, force.constants));
-            increments.reset(new IncrementsOfLanes<A>(table, table.position, table.extent));
+    ForceLanes(Force& force, const GroupField& group, const C& constants, const int64_t* number)
+        : status(0.0), evaluations(0.0), iterations(0.0), residual(0.0), change(0.0), constants(constants),
+          table(force.table), n(force.n), number(number), one(n), two(std::max(n, table.extent)), before(n), row(n),
+          grown(0), spread(0) {
+        for (int lane = 0; lane < lanes; ++lane) {
+            const bool shared = lane == 0 || std::is_same_v<C, SharedConstants>;
+            if (!shared) own.emplace_back(new Force(table, force.field, group, constants.of_lane(lane)));
+            alone[lane] = shared ? &force : own.back().get();
         }
-        if (force.orbit) orbit.reset(new OrbitBath<A>(table, force.field, group, force.constants));
-        if (force.spins && force.spins->size() <= SpinBathOfLanes::MOST_SPINS)
-            spins.reset(new SpinBathOfLanes(*force.spins));
+        if (table.kind == HAMILTONIAN_NOISE) {
+            increments.reset(new IncrementsOfLanes<A>(table, table.position, table.extent));
+            // Members with functions of their own act one by one.
+            const bool shared = std::all_of(own.begin(), own.end(), [&](const std::unique_ptr<Force>& one) {
+                return one->noise->shares_functions(*force.noise);
+            });
+            if (shared)
+                noise.reset(new HamiltonianNoise<A, C>(table, force.field, group, constants));
+        }
+        if (force.orbit) orbit.reset(new OrbitBath<A, C>(table, force.field, group, constants));
+        if (!force.spins || force.spins->size() > SpinBathOfLanes<C>::MOST_SPINS) return;
+        SpinBath* baths[lanes];
+        for (int lane = 0; lane < lanes; ++lane) baths[lane] = alone[lane]->spins.get();
+        spins.reset(new SpinBathOfLanes<C>(baths, constants));
     }
 
     // Prepare for a step of the members from t of length h.
@@ -41,8 +57,8 @@ class ForceLanes {
         residual = A(std::numeric_limits<double>::quiet_NaN());
         switch (table.kind) {
             case DAMPING: return move(x, moving, [&](A* y) { damp(y, t, tau); });
-            case CONSTANT: return move(x, moving, [&](A* y) { force.push(y, tau, table.aim); });
-            case OF_TIME: return push_by_time(x, t, tau, moving);
+            case CONSTANT: return move(x, moving, [&](A* y) { alone[0]->push(y, tau, table.aim, constants); });
+            case OF_TIME: return own.empty() ? push_by_time(x, t, tau, moving) : one_by_one(x, t, tau, side, moving);
             case KICKS: return move(x, moving, [&](A* y) { kick(y, t, tau); });
         }
         if (noise)
@@ -57,16 +73,20 @@ class ForceLanes {
 
   private:
     static constexpr int lanes = MEMBER_LANES;
-    Force& force;
+    const C constants;
     const ForceTable& table;
     const int64_t n;
     const int64_t* const number;  // of the members in the run
     AlignedArray<A> one, two, before;
     std::vector<double> row;
-    std::unique_ptr<HamiltonianNoise<A>> noise;
+    std::vector<std::unique_ptr<Force>> own;  // of members with constants of their own, after the first
+    Force* alone[lanes];
+    AlignedArray<A> grown, spread;  // of each member, for this time
+    double grown_for = std::numeric_limits<double>::quiet_NaN(), spread_for = grown_for;
+    std::unique_ptr<HamiltonianNoise<A, C>> noise;
     std::unique_ptr<IncrementsOfLanes<A>> increments;
-    std::unique_ptr<SpinBathOfLanes> spins;
-    std::unique_ptr<OrbitBath<A>> orbit;
+    std::unique_ptr<SpinBathOfLanes<C>> spins;
+    std::unique_ptr<OrbitBath<A, C>> orbit;
 
     template <class Move>
     void move(A* x, const Mask& moving, const Move& apply) {
@@ -85,25 +105,54 @@ class ForceLanes {
         DeviatesOfLanes<A>(uint64_t(table.seed), table.stream, number, t, uint64_t(part)).draw(count, out);
     }
 
+    // The numbers of each member, from those of it alone.
+    template <class Numbers>
+    static void gather(AlignedArray<A>& to, Force* const* alone, const Numbers& numbers) {
+        const int64_t count = int64_t(numbers(*alone[0]).size());
+        to.clear(count);
+        for (int lane = 0; lane < lanes; ++lane)
+            for (int64_t i = 0; i < count; ++i) to.at[i].set(lane, numbers(*alone[lane])[i]);
+    }
+
     void damp(A* x, double t, double tau) {
-        force.damp(x, one.at, tau);
-        if (!(table.amplitude > 0.0)) return;
+        if (own.empty()) {
+            alone[0]->prepare(tau);
+            alone[0]->damp_by(alone[0]->expm1.data(), x, one.at, constants);
+        } else {
+            if (grown_for != tau) {
+                for (Force* force : alone) force->prepare(tau);
+                gather(grown, alone, [](Force& force) -> const std::vector<double>& { return force.expm1; });
+                grown_for = tau;
+            }
+            alone[0]->damp_by(grown.at, x, one.at, constants);
+        }
+        if (!(alone[0]->number(table.amplitude, 0) > 0.0)) return;
         draw(t, n, two.at);
-        force.spread_out(x, two.at, tau);
+        if (own.empty()) {
+            alone[0]->prepare_spread(tau);
+            alone[0]->spread_out(alone[0]->spread.data(), x, two.at, constants);
+        } else {
+            if (spread_for != tau) {
+                for (Force* force : alone) force->prepare_spread(tau);
+                gather(spread, alone, [](Force& force) -> const std::vector<double>& { return force.spread; });
+                spread_for = tau;
+            }
+            alone[0]->spread_out(spread.at, x, two.at, constants);
+        }
         defined(x, OVERFLOWED);
     }
 
     void push_by_time(A* x, double t, double tau, const Mask& moving) {
-        force.evaluations = 0;
-        const double* const torque = force.mean_torque(t, tau);
-        evaluations = A(double(force.evaluations));
-        move(x, moving, [&](A* y) { force.push(y, tau, torque); });
+        alone[0]->evaluations = 0;
+        const double* const torque = alone[0]->mean_torque(t, tau);
+        evaluations = A(double(alone[0]->evaluations));
+        move(x, moving, [&](A* y) { alone[0]->push(y, tau, torque, SharedConstants{}); });
         defined(x, UNDEFINED);
     }
 
     void kick(A* x, double t, double tau) {
         draw(t, table.extent, two.at);
-        force.add_kicks(x, two.at, one.at, tau);
+        alone[0]->add_kicks(x, two.at, one.at, tau, constants);
         defined(x, UNDEFINED);
     }
 
@@ -133,6 +182,7 @@ class ForceLanes {
     NOINLINE void one_by_one(A* x, double t, double tau, int64_t side, const Mask& moving) {
         for (int lane = 0; lane < lanes; ++lane) {
             if (!at(moving, lane)) continue;
+            Force& force = *alone[lane];
             for (int64_t i = 0; i < n; ++i) row[i] = x[i][lane];
             status.set(lane, double(force.flow(row.data(), nullptr, t, tau, number[lane], side)));
             for (int64_t i = 0; i < n; ++i) x[i].set(lane, row[i]);

@@ -12,33 +12,33 @@
 
 namespace coadjoint {
 
-template <class A>
+template <class A, class C>
 class HamiltonianNoise {
   public:
     typedef typename Numbers<A>::Mask Mask;
-    OrbitExponential<A> exponential;
+    OrbitExponential<A, C> exponential;
 
     // Of the table: `extent` Brownian motions in `sets`; set s has those with the numbers direction[begin[s]] to
     // direction[begin[s + 1] - 1]. aim[s] is zero for one exponential, a number of midpoint rules, or minus a number of
     // symmetric compositions of exponentials. Behind the sets `begin` has a row for each Brownian motion, whose columns
     // follow the numbers in `direction`, with coefficients in `rate`: of coordinates, or of the functions whose fields
-    // are at `function`. Increments are sums of 2^position.
-    HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group,
-                     const MemberConstants& constants)
-        : exponential(field, group, constants), has_group(group.size > 0), table(table), n(field.size),
+    // are at `function`. Increments are sums of 2^position. Members may differ in `rate`, not in `aim` and functions.
+    HamiltonianNoise(const ForceTable& table, const Field& field, const GroupField& group, const C& constants)
+        : exponential(field, group, constants), has_group(group.size > 0), table(table), constants(constants),
+          first(constants.of_lane(0)), n(field.size),
           rows(table.begin + table.sets + 1), columns(table.direction + table.extent), v(n), middle(n), slope(n) {
         int64_t functions = 0;
         for (int64_t set = 0; set < table.sets; ++set)
-            for (int64_t b = table.direction[table.begin[set]], q = rows[b]; table.aim[set] != 0.0 && q < rows[b + 1]; ++q)
+            for (int64_t b = table.direction[table.begin[set]], q = rows[b]; aim(set) != 0.0 && q < rows[b + 1]; ++q)
                 functions = std::max(functions, columns[q] + 1);
         for (int64_t k = 0; k < functions; ++k) {
-            fields.push_back(reinterpret_cast<const Field*>(table.function[k]));
+            fields.push_back(reinterpret_cast<const Field*>(first.address(table.function, k, 0)));
             workspaces.emplace_back(new FieldWorkspace<A>(*fields.back()));
         }
-        of_spins = spins.find(field, constants);
+        of_spins = spins.find(field, first);
         for (int64_t set = 0; set < table.sets && !of_spins; ++set) {
             std::vector<bool> used(n, false);
-            for (int64_t e = table.begin[set]; e < table.begin[set + 1] && table.aim[set] == 0.0; ++e)
+            for (int64_t e = table.begin[set]; e < table.begin[set + 1] && aim(set) == 0.0; ++e)
                 for (int64_t q = rows[table.direction[e]]; q < rows[table.direction[e] + 1]; ++q) used[columns[q]] = true;
             products.emplace_back(field, constants, used);
         }
@@ -51,7 +51,7 @@ class HamiltonianNoise {
         exponential.residual = A(std::numeric_limits<double>::quiet_NaN());
         A status = double(DONE);
         for (int64_t k = 0; k < table.sets && any(moving); ++k) {
-            const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(table.aim[set]);
+            const int64_t set = side ? table.sets - 1 - k : k, midpoints = int64_t(aim(set));
             const int64_t first = table.direction[table.begin[set]];
             if (midpoints < 0)
                 by_parts(x, element, t, sums, first, -midpoints, moving, status);
@@ -63,24 +63,31 @@ class HamiltonianNoise {
         return status;
     }
 
+    // Whether another noise of the same structure has the same functions.
+    bool shares_functions(const HamiltonianNoise& other) const { return fields == other.fields; }
+
   private:
     const bool has_group;
     const ForceTable& table;
+    const C constants;
+    const MemberConstants first;
     const int64_t n;
     Spins spins;
     bool of_spins = false;  // whether the algebra is a sum of so(3), where exponentials are rotations
     const int64_t *rows, *columns;
     AlignedArray<A> v, middle, slope;
-    std::deque<RestrictedField> products;  // of each set of linear functions
+    std::deque<RestrictedField<C>> products;  // of each set of linear functions
     std::vector<const Field*> fields;
     std::vector<std::unique_ptr<FieldWorkspace<A>>> workspaces;
+
+    double aim(int64_t set) const { return first.number_at<double>(table.aim, set); }
 
     // Linear functions that commute.
     void together(A* x, double* element, const A* sums, int64_t set, Mask& moving, A& status) {
         std::fill_n(v.at, n, A(0.0));
         for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
             const int64_t b = table.direction[e];
-            for (int64_t q = rows[b]; q < rows[b + 1]; ++q) v.at[columns[q]] += sums[b] * A(table.rate[q]);
+            for (int64_t q = rows[b]; q < rows[b + 1]; ++q) v.at[columns[q]] += sums[b] * constants.template number_at<A>(table.rate, q);
         }
         if (of_spins) rotate_spins(x, moving);
         move(x, element, moving, status, of_spins, of_spins ? nullptr : &products[set]);
@@ -88,9 +95,11 @@ class HamiltonianNoise {
 
     // Move a state, unless it is `moved`, and the group element by exponentials of v. Members that fail stop moving.
     void move(A* x, double* element, Mask& moving, A& status, bool moved = false,
-              const RestrictedField* restricted = nullptr) {
+              const RestrictedField<C>* restricted = nullptr) {
         Mask defined = moving;
-        if (!moved) defined = exponential(v.at, 1.0, x, x, moving, restricted);
+        if (!moved)
+            defined = restricted ? exponential(v.at, 1.0, x, x, moving, restricted->products())
+                                 : exponential(v.at, 1.0, x, x, moving);
         if constexpr (Numbers<A>::lanes == 1)
             if (has_group) defined = defined && exponential.turn(v.at, element);
         if (any(moving & !defined)) stop_members(moving & !defined, exponential.failed(v.at), moving, status);
@@ -173,7 +182,7 @@ class HamiltonianNoise {
         for (int64_t k = 0; k < count; ++k)
             for (int64_t p = 0; p < 2 * parts - 1 && any(moving); ++p) {
                 const int64_t q = rows[b] + (p < parts ? p : 2 * parts - 2 - p);
-                const A size = A((p == parts - 1 ? 1.0 : 0.5) * fraction_of(k, count)) * sums[b] * A(table.rate[q]);
+                const A size = A((p == parts - 1 ? 1.0 : 0.5) * fraction_of(k, count)) * sums[b] * constants.template number_at<A>(table.rate, q);
                 gradient_of(columns[q], x, t, v.at);
                 for (int64_t i = 0; i < n; ++i) v.at[i] *= size;
                 move(x, element, moving, status);
@@ -189,7 +198,7 @@ class HamiltonianNoise {
                 std::fill_n(to, n, A(0.0));
                 for (int64_t q = rows[b]; q < rows[b + 1]; ++q) {
                     gradient_of(columns[q], y, t, slope.at);
-                    for (int64_t i = 0; i < n; ++i) to[i] = fma(A(table.rate[q]), slope.at[i], to[i]);
+                    for (int64_t i = 0; i < n; ++i) to[i] = fma(constants.template number_at<A>(table.rate, q), slope.at[i], to[i]);
                 }
                 for (int64_t i = 0; i < n; ++i) to[i] *= size;
             });

@@ -177,11 +177,11 @@ class OrbitDamping final : public MatrixForce {
         : table(table), stream(table.begin, table.aim),
           by(table.function[0], table.function[1], table.begin[0], table.begin[1]),
           n(by.n), square(by.square), all(by.layers * square), depth(table.position), M(all), Y(all), slope(all),
-          deviates(table.amplitude > 0.0 ? square : 0) {}
+          deviates(table.amplitude[0] > 0.0 ? square : 0) {}
 
     int64_t flow(double* x, double t, double tau, int64_t member) override {
         T* const X = reinterpret_cast<T*>(x);
-        const bool random = table.amplitude > 0.0;
+        const bool random = table.amplitude[0] > 0.0;
         if (random)
             if (const int64_t status = shake(X, t, tau, 0, member)) return status;
         if (const int64_t status = settle(X, t + 0.5 * tau, tau)) return status;
@@ -234,7 +234,7 @@ class OrbitDamping final : public MatrixForce {
     // exact. The shears of a second layer commute with that Laplacian.
     int64_t shake(T* X, double t, double tau, int half, int64_t member) {
         const DeviateStream drawn(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half));
-        const double variance = 0.5 * tau * table.amplitude * table.amplitude;
+        const double variance = 0.5 * tau * table.amplitude[0] * table.amplitude[0];
         if (depth == 2) {
             draw(DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(2 + half)), variance, false);
             by.shear(X);
@@ -277,7 +277,7 @@ class MatrixNoise final : public MatrixForce {
     explicit MatrixNoise(const ForceTable& table)
         : table(table), modes(table.kind == MODE_TRANSPORT ? new ModeForce(table) : nullptr),
           by(table.function[0], table.function[3], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
-          count(modes ? modes->deviates() : table.sets), commuting(table.amplitude != 0.0),
+          count(modes ? modes->deviates() : table.sets), commuting(table.amplitude[0] != 0.0),
           increments(table, table.function[2], count, commuting ? 0 : count), factors(count) {}
 
     bool around_steps() const override { return true; }

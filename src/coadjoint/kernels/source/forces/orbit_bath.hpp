@@ -9,13 +9,13 @@
 
 namespace coadjoint {
 
-template <class A>
+template <class A, class C>
 class OrbitBath {
   public:
     typedef typename Numbers<A>::Mask Mask;
-    OrbitExponential<A> exponential;
+    OrbitExponential<A, C> exponential;
 
-    OrbitBath(const ForceTable& table, const Field& field, const GroupField& group, const MemberConstants& constants)
+    OrbitBath(const ForceTable& table, const Field& field, const GroupField& group, const C& constants)
         : exponential(field, group, constants), table(table), field(field), constants(constants), n(field.size), v(n),
           deviates(n), middle(n), slope(n), u(n), workspace(field) {
         std::vector<bool> used(n);
@@ -31,7 +31,7 @@ class OrbitBath {
     // The flow of the members that are `moving`; `draw(half, deviates)` draws n deviates. Returns statuses.
     template <class Draw>
     A flow(A* x, double t, double tau, Mask moving, const Draw& draw) {
-        const bool random = table.amplitude > 0.0;
+        const bool random = MemberConstants(constants.of_lane(0)).number_at<double>(table.amplitude, 0) > 0.0;
         exponential.iterations = exponential.evaluations = A(0.0);
         exponential.residual = A(std::numeric_limits<double>::quiet_NaN());
         A status = double(DONE);
@@ -45,17 +45,17 @@ class OrbitBath {
   private:
     const ForceTable& table;
     const Field& field;
-    const MemberConstants constants;
+    const C constants;
     const int64_t n;
     AlignedArray<A> v, deviates, middle, slope, u;
     FieldWorkspace<A> workspace;
-    std::deque<RestrictedField> products;  // of each set
+    std::deque<RestrictedField<C>> products;  // of each set
 
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
     // distribution; the sets are applied one after the other, in the second half in reversed order: a symmetric
     // splitting, of weak order two.
     void shake(A* x, double tau, int half, Mask& moving, A& status) {
-        const A size(table.amplitude * std::sqrt(0.5 * tau));
+        const A size = constants.template number_at<A>(table.amplitude, 0) * A(std::sqrt(0.5 * tau));
         for (int64_t k = 0; k < table.sets && any(moving); ++k) {
             const int64_t set = half ? table.sets - 1 - k : k;
             std::fill_n(v.at, n, A(0.0));
@@ -63,11 +63,11 @@ class OrbitBath {
                 const int64_t a = table.direction[e];
                 const A length = size * deviates.at[a];
                 if (table.shape == FULL)
-                    for (int64_t i = a; i < n; ++i) v.at[i] = fma(A(table.aim[i * n + a]), length, v.at[i]);
+                    for (int64_t i = a; i < n; ++i) v.at[i] = fma(constants.template number_at<A>(table.aim, i * n + a), length, v.at[i]);
                 else
-                    v.at[a] = A(table.aim[table.shape == DIAGONAL ? a : 0]) * length;
+                    v.at[a] = constants.template number_at<A>(table.aim, table.shape == DIAGONAL ? a : 0) * length;
             }
-            const Mask defined = exponential(v.at, 1.0, x, x, moving, &products[set]);
+            const Mask defined = exponential(v.at, 1.0, x, x, moving, products[set].products());
             if (const Mask failing = moving & !defined; any(failing))
                 stop_members(failing, exponential.failed(v.at), moving, status);
         }
@@ -85,11 +85,11 @@ class OrbitBath {
     void apply_metric(const A* y, A* out) const {
         for (int64_t i = 0; i < n; ++i) {
             if (table.shape != FULL) {
-                out[i] = A(table.rate[table.shape == DIAGONAL ? i : 0]) * y[i];
+                out[i] = constants.template number_at<A>(table.rate, table.shape == DIAGONAL ? i : 0) * y[i];
                 continue;
             }
             A sum(0.0);
-            for (int64_t j = 0; j < n; ++j) sum = fma(A(table.rate[i * n + j]), y[j], sum);
+            for (int64_t j = 0; j < n; ++j) sum = fma(constants.template number_at<A>(table.rate, i * n + j), y[j], sum);
             out[i] = sum;
         }
     }

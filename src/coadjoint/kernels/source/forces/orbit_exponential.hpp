@@ -73,19 +73,24 @@ INLINE void stop_members(const Where& where, const A& reason, Mask& moving, A& s
     moving = moving & !where;
 }
 
-// A field with those of its products that have a factor u_i in some columns: all others are zero.
-struct RestrictedField {
-    Field field;
-    MemberConstants constants;
+// A field with its constants.
+template <class C>
+struct FieldOf {
+    const Field& field;
+    C constants;
+};
 
-    RestrictedField(const Field& whole, const MemberConstants& all, const std::vector<bool>& used)
-        : field(whole), constants{1, 0} {
+// A field with those of its products that have a factor u_i in some columns: all others are zero.
+template <class C>
+struct RestrictedField {
+    RestrictedField(const Field& whole, const C& all, const std::vector<bool>& used) : field(whole) {
         first.push_back(0);
         for (int64_t i = 0; i < whole.size; ++i) {
             for (uint32_t q = whole.first[i]; q < whole.first[i + 1]; ++q) {
                 if (!used[whole.column[q]]) continue;
                 column.push_back(whole.column[q]), state.push_back(whole.state[q]);
-                constant.push_back(all.number_at<double>(whole.constant, q));
+                for (int lane = 0; lane < lanes; ++lane)
+                    constant.push_back(MemberConstants(all.of_lane(lane)).number_at<double>(whole.constant, q));
             }
             first.push_back(uint32_t(column.size()));
         }
@@ -94,31 +99,42 @@ struct RestrictedField {
     }
     RestrictedField(const RestrictedField&) = delete;
 
+    FieldOf<C> products() const {
+        if constexpr (std::is_same_v<C, SharedConstants>)
+            return {field, {}};
+        else
+            return {field, {lanes, 0}};
+    }
+
   private:
+    static constexpr int lanes = std::is_same_v<C, LaneConstants> ? MEMBER_LANES : 1;
+    Field field;
     std::vector<uint32_t> first, column, state;
     std::vector<double> constant;
 };
 
-template <class A>
+template <class A, class C>
 class OrbitExponential {
   public:
     typedef typename Numbers<A>::Mask Mask;
     // Of the last midpoint rule; `iterations` and `evaluations` are whole numbers.
     A iterations{0.0}, evaluations{0.0}, residual{0.0};
 
-    OrbitExponential(const Field& field, const GroupField& group, const MemberConstants& constants)
-        : field(field), group(group), constants(constants), n(field.size),
+    OrbitExponential(const Field& field, const GroupField& group, const C& constants)
+        : whole{field, constants}, group(group), n(field.size),
           exponential(std::max(n, group.size * group.size)), sums(std::max(n, group.size)), before(n), next(n),
           workspace(field) {
-        if (is_lanes) alone.reset(new OrbitExponential<double>(field, group, constants));
+        if (is_lanes) alone.reset(new OrbitExponential<double, MemberConstants>(field, group, constants.of_lane(0)));
     }
 
     // Set out to exp(factor D_v) x for the members that are `moving`; return where it is defined, and not too long. The
     // field may be restricted to the columns in which v is not zero.
-    Mask operator()(const A* v, double factor, const A* x, A* out, const Mask& moving,
-                    const RestrictedField* restricted = nullptr) {
-        const Field& used = restricted ? restricted->field : field;
-        const MemberConstants numbers = restricted ? restricted->constants : constants;
+    Mask operator()(const A* v, double factor, const A* x, A* out, const Mask& moving) {
+        return (*this)(v, factor, x, out, moving, whole);
+    }
+    Mask operator()(const A* v, double factor, const A* x, A* out, const Mask& moving, const FieldOf<C>& products) {
+        const Field& used = products.field;
+        const C& numbers = products.constants;
         for (int64_t i = 0; i < n; ++i) {
             A sum(0.0);
             for (uint32_t q = used.first[i]; q < used.first[i + 1]; ++q)
@@ -132,7 +148,7 @@ class OrbitExponential {
         if constexpr (is_lanes) {
             exponential.act(x, n, apply);
             const Mask found = moving & defined, others = moving & !defined;
-            if (__builtin_expect(any(others), 0)) defined = defined | one_by_one(v, factor, x, out, others, restricted);
+            if (__builtin_expect(any(others), 0)) defined = defined | one_by_one(v, factor, x, out, others, products);
             for (int64_t i = 0; i < n; ++i) out[i] = select(found, x[i] + exponential.move.at[i], out[i]);
         } else {
             if (!defined) return false;
@@ -145,8 +161,9 @@ class OrbitExponential {
     // Move the group element, which is transposed, by the same exponential; false as above.
     bool turn(const double* v, double* element) {
         std::fill_n(sums.at, group.size, 0.0);
+        const C& constants = whole.constants;
         for (int64_t q = 0; q < group.entries; ++q)
-            sums.at[group.column[q]] = fma(absolute(constants.number_at<double>(group.value, q)),
+            sums.at[group.column[q]] = fma(absolute(constants.template number_at<double>(group.value, q)),
                                            absolute(v[group.element[q]]), sums.at[group.column[q]]);
         if (!exponential.measure(sums.at, group.size, group.size * group.entries)) return false;
         exponential.act(element, group.size * group.size, [&](const double* from, double part, double* to) {
@@ -195,23 +212,23 @@ class OrbitExponential {
 
   private:
     static constexpr bool is_lanes = Numbers<A>::lanes > 1;
-    const Field& field;
+    const FieldOf<C> whole;
     const GroupField& group;
-    const MemberConstants constants;
     const int64_t n;
     std::conditional_t<is_lanes, ExponentialOfLanes<A>, ExponentialAction> exponential;
     AlignedArray<A> sums, before, next;
     FieldWorkspace<A> workspace;
-    std::unique_ptr<OrbitExponential<double>> alone;  // for members with many substeps
+    std::unique_ptr<OrbitExponential<double, MemberConstants>> alone;  // for members with many substeps
 
     NOINLINE Mask one_by_one(const A* v, double factor, const A* x, A* out, const Mask& moving,
-                             const RestrictedField* restricted) {
+                             const FieldOf<C>& products) {
         std::vector<double> rows(2 * n);
         A defined(0.0);
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
             if (!at(moving, lane)) continue;
             for (int64_t i = 0; i < n; ++i) rows[i] = lane_of(x[i], lane), rows[n + i] = lane_of(v[i], lane);
-            if (!(*alone)(rows.data() + n, factor, rows.data(), rows.data(), true, restricted)) continue;
+            const FieldOf<MemberConstants> own{products.field, products.constants.of_lane(lane)};
+            if (!(*alone)(rows.data() + n, factor, rows.data(), rows.data(), true, own)) continue;
             for (int64_t i = 0; i < n; ++i) set_lane(out[i], lane, rows[i]);
             set_lane(defined, lane, 1.0);
         }

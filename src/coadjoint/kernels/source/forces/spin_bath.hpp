@@ -26,17 +26,17 @@ class SpinBath {
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) {
                 const int64_t i = table.shape == DIAGONAL ? spins.coordinate[a][s] : 0;
-                metric[a * stride + s] = table.rate[i];
-                root[a * stride + s] = table.aim[i];
+                metric[a * stride + s] = constants.number_at<double>(table.rate, i);
+                root[a * stride + s] = constants.number_at<double>(table.aim, i);
                 turn[a * stride + s] = spins.turn[s];
-                if (adds) added[a * stride + s] = table.turning[i];
+                if (adds) added[a * stride + s] = constants.number_at<double>(table.turning, i);
             }
         rows.read(field, constants, spins, stride);
         if (rows.empty()) gradients.resize(field.size), point.resize(field.size);
         side_by_side = true;
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) side_by_side = side_by_side && spins.coordinate[a][s] == 3 * s + a;
-        if (table.amplitude > 0.0 && !side_by_side) deviates.resize(field.size);
+        if (amplitude() > 0.0 && !side_by_side) deviates.resize(field.size);
     }
 
     // Whether the algebra and the metric are supported.
@@ -78,6 +78,7 @@ class SpinBath {
     }
 
   private:
+    template <class C>
     friend class SpinBathOfLanes;
     typedef SpinRows::A A;
     static constexpr int W = SpinRows::W;
@@ -106,6 +107,8 @@ class SpinBath {
     Components start, middle, next, slope, metric, root, turn, largest, inverse, added;
     std::vector<double> deviates, gradients, point;
 
+    double amplitude() const { return constants.number_at<double>(table.amplitude, 0); }
+
     // Whether the sets of a noise apply the directions of each spin in the order of its coordinates.
     bool in_order() const {
         std::vector<int64_t> set_of(field.size, -1);
@@ -131,7 +134,7 @@ class SpinBath {
     // The noise of one half of the time tau; its deviates are drawn now unless each thread draws those of its spins.
     Noise noise_of(double t, double tau, int half, int64_t member) {
         const Noise noise{DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)),
-                          table.amplitude * std::sqrt(0.5 * tau)};
+                          amplitude() * std::sqrt(0.5 * tau)};
         if (noise.size > 0.0) InterruptCheck::of_this_call().after(64 * field.size);
         if (noise.size > 0.0 && !side_by_side) noise.stream.fill(field.size, deviates.data());
         return noise;

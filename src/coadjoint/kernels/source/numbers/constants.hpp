@@ -6,8 +6,11 @@
 
 namespace coadjoint {
 
+struct MemberConstants;
+
 // A constant beside numbers A is a Constant<A>; `from` is where the constants begin that follow an entry of a table.
 struct SharedConstants {
+    INLINE operator MemberConstants() const;
     template <class A>
     using Constant = double;
     static INLINE const double* from(const double* at, int64_t position) { return at + position; }
@@ -27,6 +30,8 @@ struct MemberConstants {
     static INLINE int used(int lanes) { return lanes; }
     INLINE MemberConstants of_lane(int) const { return *this; }
 };
+
+INLINE SharedConstants::operator MemberConstants() const { return {1, 0}; }
 
 // Constants that differ by member: a row of `stride` numbers for each entry of a table. The lanes begin at `first`.
 struct LaneConstants {

@@ -16,9 +16,11 @@ class InnerStep {
     double residual = 0.0;
 
     // `addresses` are the addresses of the loop, its tables and an empty watch, the size of its memory per member, and
-    // the address of the tables by which Casimirs subtracted from H rotate the group element, or zero.
-    InnerStep(const int64_t* addresses, int64_t size, int64_t square, int64_t members = 1)
-        : loop(reinterpret_cast<InnerLoop>(addresses[0])), tables(reinterpret_cast<const void*>(addresses[1])),
+    // the address of the tables by which Casimirs subtracted from H rotate the group element, or zero. The tables may have
+    // a column for each member.
+    InnerStep(const int64_t* addresses, int64_t size, int64_t square, int64_t members = 1,
+              const LaneConstants& columns = {0, 0})
+        : columns(columns), loop(reinterpret_cast<InnerLoop>(addresses[0])), tables(reinterpret_cast<const void*>(addresses[1])),
           watch(*reinterpret_cast<const Watch*>(addresses[2])),
           unshift_tables(square ? reinterpret_cast<const UnshiftTables*>(addresses[4]) : nullptr) {
         // The steps 0 and 1 are saved: a loop that leaves a step unfinished finishes what it saves.
@@ -47,7 +49,7 @@ class InnerStep {
         std::copy_n(group, extent.square, arrays.groups);
         if (unshift_tables) prepare(x, group, arrays.groups);
         const Schedule two{t - double(before) * h, h, 2 + before, 1, 0, 0, 0, nullptr, nullptr, nullptr, 0};
-        const MemberRange alone{&member, 0, 1, 0};
+        const MemberRange alone = range_of(&member, 1);
         const int64_t failed = loop(tables, &watch, &alone, &arrays, &two, before, before + 1);
         if (failed == NO_MEMORY) throw std::bad_alloc();
         if (failed < 0) throw Interrupted{};
@@ -72,7 +74,7 @@ class InnerStep {
         for (; int64_t(numbers.size()) < count;) numbers.push_back(int64_t(numbers.size()));
         for (int64_t b = 0; b < count; ++b) std::copy_n(x[b], extent.size, arrays.momenta + b * extent.size);
         const Schedule two{t, h, 2, 1, 0, 0, 0, nullptr, nullptr, nullptr, 0};
-        const MemberRange range{numbers.data(), 0, count, 0};
+        const MemberRange range = range_of(numbers.data(), count);
         const int64_t failed = loop(tables, &watch, &range, &arrays, &two, 0, 1);
         if (failed == NO_MEMORY) throw std::bad_alloc();
         if (failed < 0) throw Interrupted{};
@@ -88,7 +90,12 @@ class InnerStep {
     double residual_of(int64_t b) { return Arrays(extent, saved.data(), state.data()).residual[b]; }
 
   private:
+    const LaneConstants columns;
     std::vector<int64_t> numbers;
+
+    MemberRange range_of(const int64_t* members, int64_t count) const {
+        return {members - columns.first, columns.first, columns.first + count, columns.stride};
+    }
 
     // The loop starts at the unit element; the initial element is multiplied by the result.
     void prepare(const double* x, const double* group, double* unit) {

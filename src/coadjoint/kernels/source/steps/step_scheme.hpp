@@ -48,8 +48,8 @@ struct StepScheme {
     // The same step of members as lanes, with constants of their `own` or those of these tables, which must outlive it;
     // null if lanes are no faster, or if the members take different operations.
     virtual std::unique_ptr<LaneStep> lane_step(const StepTables&, const LaneConstants* /* own */) { return nullptr; }
-    // The same for more members, with the constants of these tables.
-    virtual std::unique_ptr<WideStep> wide_step() { return nullptr; }
+    // The same for more members.
+    virtual std::unique_ptr<WideStep> wide_step(const LaneConstants* /* own */) { return nullptr; }
     // The Taylor series of the motion over the last step, if the scheme has one.
     virtual StepSeries series_of_step() const { return {}; }
 };

@@ -52,7 +52,7 @@ static CachedStep cached_step(const Stepping& tables, bool as_lanes) {
         entry.mode = mode;
     }
     if (as_lanes && !entry.lane_step) entry.lane_step = entry.scheme->lane_step(tables.tables, nullptr);
-    if (as_lanes && !entry.wide_step) entry.wide_step = entry.scheme->wide_step();
+    if (as_lanes && !entry.wide_step) entry.wide_step = entry.scheme->wide_step(nullptr);
     return entry;
 }
 
@@ -169,9 +169,10 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     std::shared_ptr<WideStep> wide_step = shared.wide_step;
     if (several && !as_lanes && !range.stride && n <= WIDEST) {
         scheme = (unshared = made(tables, MemberConstants{1, 0})).get();
-        wide_step = scheme->wide_step();
+        wide_step = scheme->wide_step(nullptr);
     }
     if (schedule.starts || schedule.lengths) wide_step.reset();
+    bool own_wide = range.stride && n <= WIDEST && !schedule.starts && !schedule.lengths;
     AlreadyFinished nothing;
     RecorderAlone recorder(watch, arrays, schedule, MemberConstants{1, 0}, nothing);
     const auto advance_alone = [&](int64_t position) {
@@ -227,6 +228,16 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
             last = std::min<int64_t>(position + MEMBER_LANES, range.last);
             advance_lanes(loop, *wide_step, SharedConstants{}, range.members + position, last - position);
             continue;
+        }
+        if (own_wide) {
+            last = std::min<int64_t>(position + MEMBER_LANES, range.last);
+            const LaneConstants own{range.stride, position};
+            const std::unique_ptr<StepScheme> first = made(tables, own.of_lane(0));
+            if (const auto wide = first->wide_step(&own)) {
+                advance_lanes(loop, *wide, own, range.members + position, last - position);
+                continue;
+            }
+            own_wide = false;
         }
         last = std::min<int64_t>(position + NATIVE, range.last);
         if (as_lanes && last - position >= MIN_FILLED_LANES) {

@@ -239,7 +239,7 @@ class OrbitDerivative {
 
     bool find(const double* x, double t, double tau, int64_t member) {
         exponentials.clear();
-        const bool random = force.amplitude > 0.0;
+        const bool random = force.amplitude[0] > 0.0;
         std::vector<double> now(x, x + n);
         if (random && !shake(now, t, tau, 0, member)) return false;
         damping = int64_t(exponentials.size());
@@ -249,7 +249,7 @@ class OrbitDerivative {
 
     // As `Force::shake`.
     bool shake(std::vector<double>& x, double t, double tau, int half_of_noise, int64_t member) {
-        const double size = force.amplitude * std::sqrt(0.5 * tau);
+        const double size = force.amplitude[0] * std::sqrt(0.5 * tau);
         DeviateStream(uint64_t(force.seed), uint64_t(force.stream + member), t, uint64_t(half_of_noise))
             .fill(n, deviates.data());
         for (int64_t k = 0; k < force.sets; ++k) {
