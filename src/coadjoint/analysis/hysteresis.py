@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.spin_descent import SpinSurface, angles, descend, tilted
+from coadjoint.analysis.thermal_states import are_spins
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.short_repr import short
@@ -119,8 +120,10 @@ def hysteresis(
     >>> loop.switching_fields.round(2).tolist()
     [[0.0, 0.0, -1.0]]
     """
-    if not isinstance(model, SpinModel):
-        raise TypeError(f"model is {short(model)}; give a model of co.systems.spins or co.spins.micromagnetic")
+    if not (isinstance(model, SpinModel) and are_spins(model)):
+        raise TypeError(
+            f'model is {short(model)}; give a model of co.spins.micromagnetic, or of co.systems.spins with mode="dipole"'
+        )
     if model.forces:
         raise TypeError(f"{model.name} has forces; hysteresis takes the Hamiltonian part, model.unforced")
     targets, start = read_finite(fields, "fields"), read_finite(x0, "x0")

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.geometry import CELLS, has_cell, read_flags, sizes_of
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite
@@ -112,7 +114,11 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
 
 def _plane(model: Any) -> Plane:
     """Return the plane of a model; ValueError or TypeError for systems without one."""
+    if isinstance(model, CoherentSpinModel):
+        raise TypeError(f'{model.name} have no directions; skyrmion_number needs spins of mode="dipole"')
     if isinstance(model, SpinModel):
+        if any(model.twist):
+            raise ValueError(f"{short(model)} has twisted boundaries, across which its number is not whole")
         lattice = model.crystal.lattice
         a, b, normal = lattice[0], lattice[1], np.cross(lattice[0], lattice[1])
         normal = normal / np.linalg.norm(normal)

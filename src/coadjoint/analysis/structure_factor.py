@@ -26,7 +26,6 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
@@ -299,7 +298,7 @@ def structure_factor(
     lattice = common_lattice(solution.system)
     first = solution.system.distinct[0].unforced
     check_neutrons(neutrons, first, lattice)
-    signal = sampled(solution, _directions_in(solution.system), MIN_TIMES)
+    signal = sampled(solution, None, MIN_TIMES)
     members, count, _ = signal.values.shape
     waves = measured_waves(neutrons, commensurate_waves(lattice, path), lattice, first)
     images = fitting(lattice, waves.images, "path, turned by a domain,")
@@ -370,19 +369,6 @@ def _window(window: Any, count: int) -> Floats:
     if not (np.all(np.isfinite(weight)) and np.sum(weight**2) > 0.0):
         raise ValueError(f"window is {short(window)}, which cannot be computed at {count} times; give another one")
     return weight
-
-
-def _directions_in(system: Any) -> Callable[[Any], Floats] | None:
-    """Return the function of states whose values are dipoles over S; None if states are directions of spins."""
-    model = system.distinct[0].unforced
-    if not isinstance(model, CoherentSpinModel):
-        return None
-
-    def directions(x: Any) -> Floats:
-        found = model.dipoles(x) / model.spin[:, None]
-        return np.asarray(found.reshape(*found.shape[:-2], -1))
-
-    return directions
 
 
 def _amplitudes(

@@ -143,7 +143,7 @@ def lattice_by_name(name: str, shape: Any) -> Lattice:
 def lattice_of(system: Any) -> Lattice:
     """Return the lattice of a model on a crystal or of a lattice by name; ValueError if it has none in space."""
     if isinstance(system, SpinModel):
-        if any(getattr(system, "twist", ())):
+        if any(system.twist):
             raise ValueError(f"{short(system)} has twisted boundaries; spectra need a lattice without a twist")
         crystal, units = system.crystal, UNITS[system.units]
         edges = 2.0 * np.pi * inverse(crystal.lattice).T

@@ -20,7 +20,6 @@ from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Declara
 from coadjoint.systems.lattices.space_groups import product
 from coadjoint.systems.lattices.spin_lattice import axes_orthogonal_to
 from coadjoint.systems.lattices.spin_model import SpinModel
-from coadjoint.systems.lattices.spin_terms import edges_of
 from coadjoint.systems.lattices.spin_operators import (
     coefficients_of,
     coherent_amplitudes,
@@ -32,6 +31,7 @@ from coadjoint.systems.lattices.spin_operators import (
     sites_algebra,
     tensor_operators,
 )
+from coadjoint.systems.lattices.spin_terms import edges_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import read_complex, read_finite, read_integer, read_number, set_fields
@@ -74,7 +74,9 @@ class CoherentSpinModel(SpinModel):
     def __init__(self, declared: Declaration) -> None:
         set_fields(self, _declared=declared)
         if declared.twist is not None:
-            raise ValueError('twist is not available in mode="SU(N)"; take a lattice of whole periods, or mode="dipole"')
+            raise ValueError(
+                'twist is not available in mode="SU(N)"; take a lattice of whole periods, or mode="dipole"'
+            )
         units, cell = UNITS[declared.units], len(declared.crystal.labels)
         if np.ptp(declared.spin):
             raise ValueError(
@@ -208,7 +210,9 @@ class CoherentSpinModel(SpinModel):
             )
         found = self._equivalent(chosen, given[:, None], f"the single-ion matrix on {where}")[..., 0]
         text = f"{where}: {self.levels} x {self.levels} operator"
-        return self._with(anisotropies=(*self._declared.anisotropies, Anisotropy("single_ion", chosen.sites, found, (), text)))
+        return self._with(
+            anisotropies=(*self._declared.anisotropies, Anisotropy("single_ion", chosen.sites, found, (), text))
+        )
 
     def pair_coupling(self, bond: Bond, operator: Any) -> Self:
         """Return the model with the energy of any operator of the two sites of a bond and all equivalent ones.
