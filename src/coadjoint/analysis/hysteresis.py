@@ -121,9 +121,7 @@ def hysteresis(
     [[0.0, 0.0, -1.0]]
     """
     if not (isinstance(model, SpinModel) and are_spins(model)):
-        raise TypeError(
-            f'model is {short(model)}; give a model of co.spins.micromagnetic, or of co.systems.spins with mode="dipole"'
-        )
+        raise TypeError(f"model is {short(model)}; give one of co.spins.micromagnetic or co.systems.spins, of dipoles")
     if model.forces:
         raise TypeError(f"{model.name} has forces; hysteresis takes the Hamiltonian part, model.unforced")
     targets, start = read_finite(fields, "fields"), read_finite(x0, "x0")
