@@ -96,7 +96,7 @@ def test_the_fluid_of_modes_is_that_of_matrices(gamma):
     unit = 3 * np.sqrt(3) / (4 * np.pi)  # of vorticity, in which the brackets are +-1
     x = np.random.default_rng(0).normal(size=8)
     slope = np.zeros(8)
-    relative = [unit * (1.0 + gamma / (a * a + b * b)) for a, b in WAVES]  # of the relative vorticity, of which modes are
+    relative = [unit * (1.0 + gamma / (a * a + b * b)) for a, b in WAVES]  # of the modes, the relative vorticity
     state = {wave: (x[2 * k] - 1j * x[2 * k + 1]) / (2 * relative[k]) for k, wave in enumerate(WAVES)}
     found = matrices.modes(matrices.vector_field(matrices.from_modes(state)))
     for k, (a, b) in enumerate(WAVES):
