@@ -22,6 +22,7 @@ from coadjoint.files.configuration.schema import schema
 from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.lattices.bonds import Bond, Site
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.crystals import Crystal
 from coadjoint.systems.lattices.declared_spins import ExchangeTable
 from coadjoint.systems.lattices.spin_model import SpinModel
@@ -69,6 +70,11 @@ MEMBERS_OF = (
         "cells dipolar dzyaloshinskii_moriya exchange field moments periodic positions single_ion sites size "
         "spin substitute units vacancies",
     ),
+    (
+        "A spin model of SU(N), in addition",
+        CoherentSpinModel,
+        "biquadratic coherent dipoles expectation from_amplitudes pair_coupling random single_ion",
+    ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",
@@ -102,6 +108,7 @@ ATTRIBUTES_NOT_LISTED = (
     co.Splitting,
     co.PreparedRun,
     SpinModel,
+    CoherentSpinModel,
 )
 """Classes whose annotated attributes are not for users."""
 NAMESPACES = (

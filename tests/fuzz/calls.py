@@ -73,6 +73,8 @@ BONDS.write_text("i,j,n1,n2,n3,J\n0,0,1,0,0,1\n")
 CUBE = co.spins.crystal(lattice=(1.0, 1.0, 1.0, 90.0, 90.0, 90.0), sites={"Fe": (0.0, 0.0, 0.0)})
 DIMERS = co.spins.crystal(lattice=(3.0, 3.0, 3.0, 90.0, 90.0, 90.0), sites={"Fe": (0.1, 0.2, 0.0)}, space_group="P 1")
 MODEL = co.systems.spins(DIMERS, (3, 3, 3))
+LEVELS = co.systems.spins(DIMERS, (3, 1, 1), spin=1, mode="SU(N)", periodic=False)
+PROJECTION = np.diag([1.0, 0.0, 1.0])
 
 OBJECTS = {
     "AttitudeLog": LOG,
@@ -80,6 +82,7 @@ OBJECTS = {
     "Crystal": CUBE,
     "Site": CUBE.site(0),
     "SpinModel": MODEL,
+    "CoherentSpinModel": LEVELS,
     "Orbit": ORBIT,
     "CheckCase": ROD,
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
@@ -169,6 +172,14 @@ OWN = {
     "co.spins.crystal": {"lattice": (1.0, 1.0, 1.0, 90.0, 90.0, 90.0), "sites": {"Fe": (0.0, 0.0, 0.0)}},
     "Crystal.bonds": {"max_distance": 1.0},
     "Crystal.site": {"site": "Fe"},
+    "CoherentSpinModel.biquadratic": {"bond": DIMERS.bonds(3.0)[0], "K": 0.3},
+    "CoherentSpinModel.coherent": {"directions": X},
+    "CoherentSpinModel.dipoles": {"x": LEVELS.coherent((0.0, 0.0, 1.0))},
+    "CoherentSpinModel.expectation": {"x": LEVELS.coherent((0.0, 0.0, 1.0)), "operator": PROJECTION},
+    "CoherentSpinModel.from_amplitudes": {"Z": np.ones((3, 3))},
+    "CoherentSpinModel.pair_coupling": {"bond": DIMERS.bonds(3.0)[0], "operator": np.eye(9)},
+    "CoherentSpinModel.random": {"members": 3},
+    "CoherentSpinModel.single_ion": {"site": "Fe", "matrix": PROJECTION},
     "SpinModel.dzyaloshinskii_moriya": {"bond": DIMERS.bonds(3.0)[0], "D": X},
     "SpinModel.exchange": {"bond": DIMERS.bonds(3.0)[0], "J": EYE},
     "SpinModel.field": {"B": X},

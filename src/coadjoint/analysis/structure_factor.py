@@ -134,7 +134,8 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     a wave with positive omega travels along q. The sum over all frequencies times their distance is the equal-time
     structure factor ``|sum over i of S_a,i exp(-i q . r_i)|^2 / N``, exactly. Sites of cells with several are at their
     positions, so that S is not periodic in q there. Spins of a model on a crystal are S times their directions, without
-    g and form factors, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins of `spin_lattice` are the state, whatever their moments.
+    g and form factors, and of SU(N) they are their expectations; N does not count vacancies. Spins of `spin_lattice`
+    are the state, whatever their moments.
 
     Examples
     --------

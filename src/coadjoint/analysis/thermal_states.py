@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -113,7 +113,7 @@ class Sublattice:
 class CoherentEnergy(SpinEnergy):
     """The energy of sites of SU(N), linear in each: `linear` has what is on site."""
 
-    moves: CoherentMoves = CoherentMoves(2)
+    moves: CoherentMoves = field(kw_only=True)
 
     @property
     def words(self) -> int:
@@ -195,9 +195,9 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
         )
     matrix = sum((part[0] for part in parts if part), start=scipy.sparse.csr_matrix((n, n))).tocoo()
     if coherent:
-        linear, constant = (sum(part[k] for part in parts if part) for k in (1, 2))
-        on_sites = np.zeros((len(system.sites), 0, 0))
-        return CoherentEnergy(matrix.tocsr(), on_sites, linear, constant, moves=CoherentMoves(system.levels))
+        total = np.sum([part[1] for part in parts if part], axis=0)
+        constant, on_sites = sum(part[2] for part in parts if part), np.zeros((len(system.sites), 0, 0))
+        return CoherentEnergy(matrix.tocsr(), on_sites, total, constant, moves=CoherentMoves(system.levels))
     on_site, same = np.zeros((n // 3, 3, 3)), matrix.row // 3 == matrix.col // 3
     on_site[matrix.row[same] // 3, matrix.row[same] % 3, matrix.col[same] % 3] = matrix.data[same]
     entries = (matrix.data[~same], (matrix.row[~same], matrix.col[~same]))
@@ -416,7 +416,9 @@ def _start(x0: Floats | None, key: int, energies: SpinEnergy, chains: slice) -> 
     rows = np.broadcast_to(x0, (members, x0.size)) if x0.ndim == 1 else x0[chains]
     start = np.array(rows.T.reshape(sites, -1, members), order="C")
     if moves is not None and not moves.are_pure(start):
-        raise ValueError("x0 has sites that are in no pure state; take states of model.coherent, from_amplitudes or random")
+        raise ValueError(
+            "x0 has sites that are in no pure state; take states of model.coherent, from_amplitudes or random"
+        )
     return start
 
 

@@ -36,7 +36,7 @@ from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import read_complex, read_finite, read_integer, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 HERMITIAN = 1e-12  # largest asymmetry of an operator, relative to its largest entry
 NEGLIGIBLE = 1e-13  # coefficients that are round-off, relative to the largest
@@ -46,9 +46,10 @@ class CoherentSpinModel(SpinModel):
     """Spins on the sites of a crystal as pure states of N = 2 S + 1 levels, to which energies are added.
 
     ``co.systems.spins(..., mode="SU(N)")`` makes models without energy. A site has a vector Z of C^N, up to its phase,
-    and the energy is the expectation of the Hamilton operator in the product of these states: the dipole <S> of a site
-    may be shorter than S, and quadrupoles and higher multipoles move as well. Choose it for single-ion anisotropies as
-    strong as the exchange, and for biquadratic couplings; for S = 1/2 it is the classical model of dipoles.
+    and the energy is the expectation of the Hamilton operator in the product of these states. The dipole of a site, the
+    expectation of its spin, may be shorter than S, and quadrupoles and higher multipoles move as well. Choose it for
+    single-ion anisotropies as strong as the exchange, and for biquadratic couplings; for S = 1/2 it is the classical
+    model of dipoles.
 
     States are expectations of the operators of a site, N^2 - 1 numbers: Sx, Sy, Sz and multipoles of higher rank, in
     the order of ``model.algebra.basis``, all of the norm of Sz. Their brackets are those of su(N), so that every
@@ -130,7 +131,10 @@ class CoherentSpinModel(SpinModel):
         for k, S in enumerate(operators(0.5 * (self.levels - 1))):
             T = tensor_operators(self.levels)
             G[k] = coefficients_of(-1j * (product(S, T) - product(T, S))).T
-        turned = [product(G, M[:, None]) - product(M[:, None], G), (G * np.unique(on_site, axis=0)[:, None, None]).sum(-1)]
+        turned = [
+            product(G, M[:, None]) - product(M[:, None], G),
+            (G * np.unique(on_site, axis=0)[:, None, None]).sum(-1),
+        ]
         rows = [np.moveaxis(part, 1, -1).reshape(-1, 3) for part in turned]
         sizes = [np.abs(M).max(initial=0.0), np.abs(on_site).max(initial=0.0)]
         rows = [np.where(np.abs(part) > NEGLIGIBLE * size, part, 0.0) for part, size in zip(rows, sizes, strict=True)]
@@ -154,17 +158,18 @@ class CoherentSpinModel(SpinModel):
         return found
 
     def single_ion(self, site: str | int, matrix: Any, *, time_reversal: bool = True) -> Self:
-        """Return the model with the energy <A> of a Hermitian operator A at a site and all equivalent ones.
+        """Return the model with the energy of a Hermitian operator at a site and all equivalent ones.
 
         Parameters
         ----------
         site : str or int
             As for `SpinModel.single_ion`.
         matrix : (N, N) array_like, complex or real
-            A, Hermitian, in the basis of Sz from m = S down to -S of `co.spins.operators`, whose axes are those of the
-            Cartesian frame of the lattice; an energy. It is an operator also for N = 3, not the matrix of S . A S.
+            The operator, Hermitian, in the basis of Sz from m = S down to -S of `co.spins.operators`, whose axes are
+            those of the Cartesian frame of the lattice; an energy. For N = 3 too it is an operator, not the matrix of
+            S . A S.
         time_reversal : bool
-            Whether A must be even under time reversal, as all crystal fields are. False allows dipoles and octupoles,
+            Whether it must be even under time reversal, as all crystal fields are. False allows dipoles and octupoles,
             as of the field of neighbours that order.
 
         Returns
@@ -179,13 +184,13 @@ class CoherentSpinModel(SpinModel):
 
         Examples
         --------
-        The expectation of D Sz^2 in the state m = 0 is zero:
+        The energy is zero in the state m = 0:
 
         >>> import coadjoint as co
         >>> Sx, Sy, Sz = co.spins.operators(1)
         >>> tetragonal = co.spins.crystal(lattice=(1, 1, 2, 90, 90, 90), sites={"Fe": (0, 0, 0)})
         >>> model = co.systems.spins(tetragonal, (1, 1, 1), spin=1, mode="SU(N)").single_ion("Fe", 0.3 * Sz @ Sz)
-        >>> [round(model.energy(model.from_amplitudes([Z])), 12) for Z in ((1, 0, 0), (0, 1, 0))]
+        >>> [round(abs(model.energy(model.from_amplitudes([Z]))), 12) for Z in ((1, 0, 0), (0, 1, 0))]
         [0.3, 0.0]
         """
         chosen = self.crystal.site(site)
@@ -238,10 +243,9 @@ class CoherentSpinModel(SpinModel):
         return self._with_pairs("pair_coupling", bond, operator, "operator of two sites")
 
     def biquadratic(self, bond: Bond, K: float) -> Self:
-        """Return the model with the energy <K (S_i . S_j)^2> of the operators of a bond and all equivalent ones.
+        """Return the model with the energy ``K (S_i . S_j)^2`` of operators on a bond and all equivalent ones.
 
-        It includes their quadrupoles; in parallel coherent states it is K S^4, in antiparallel ones K S^2 (S + 1)^2
-        less what quantum fluctuations of the pair would add.
+        It acts on quadrupoles, and is ``K S^4`` in parallel coherent states, ``K (S^4 + S^2)`` in antiparallel ones.
 
         Parameters
         ----------
@@ -261,14 +265,15 @@ class CoherentSpinModel(SpinModel):
 
         Examples
         --------
-        >>> import coadjoint as co
+        >>> import numpy as np, coadjoint as co
         >>> chain = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"Ni": (0, 0, 0)})
         >>> model = co.systems.spins(chain, (4, 1, 1), spin=1, mode="SU(N)").biquadratic(chain.bonds(1)["1"], 0.5)
-        >>> round(model.energy(model.coherent((0, 0, 1))), 12)
-        2.0
+        >>> n = np.array([[0, 0, 1], [0, 0, -1]] * 2)
+        >>> [round(model.energy(model.coherent(directions)), 12) for directions in (n[0], n)]
+        [2.0, 4.0]
         """
         strength = read_number(K, "K")
-        scalar = sum(np.kron(S, S) for S in operators(0.5 * (self.levels - 1)))
+        scalar = np.sum([np.kron(S, S) for S in operators(0.5 * (self.levels - 1))], axis=0)
         return self._with_pairs("biquadratic", bond, strength * product(scalar, scalar), f"K = {strength:.6g}")
 
     def _with_pairs(self, what: str, bond: Bond, operator: Any, text: str) -> Self:
@@ -317,7 +322,9 @@ class CoherentSpinModel(SpinModel):
 
     def substitute(self, label: str, fraction: float, seed: int, *, spin: float, g: float | None = None) -> NoReturn:
         """Refused: all sites of SU(N) have the same levels."""
-        raise ValueError('substitute is not available in mode="SU(N)", whose sites have equal levels; take mode="dipole"')
+        raise ValueError(
+            'substitute is not available in mode="SU(N)", whose sites have equal levels; take mode="dipole"'
+        )
 
     def coherent(self, directions: Any) -> Floats:
         """Return the state with the dipoles S n, the spin-coherent states, in which multipoles follow the directions.
@@ -382,7 +389,9 @@ class CoherentSpinModel(SpinModel):
         """
         amplitudes = read_complex(Z, "Z")
         if amplitudes.ndim < 2 or amplitudes.shape[-2:] != (len(self.sites), self.levels):
-            raise ValueError(f"Z has shape {amplitudes.shape}; give ({len(self.sites)}, {self.levels}), N for each site")
+            raise ValueError(
+                f"Z has shape {amplitudes.shape}; give ({len(self.sites)}, {self.levels}), N for each site"
+            )
         size = np.abs(amplitudes).max(axis=-1, keepdims=True)
         if not (np.isfinite(size).all() and np.all(size > 0.0)):
             raise ValueError("Z has a site without amplitude, or numbers that are not finite; give other amplitudes")
@@ -415,7 +424,9 @@ class CoherentSpinModel(SpinModel):
         (5, 64)
         """
         shape = () if members is None else (read_integer(members, "members"),)
-        normal = np.random.default_rng(read_seed(seed, "seed")).standard_normal((*shape, len(self.sites), self.levels, 2))
+        normal = np.random.default_rng(read_seed(seed, "seed")).standard_normal(
+            (*shape, len(self.sites), self.levels, 2)
+        )
         return self._states(normal[..., 0] + 1j * normal[..., 1])
 
     def _states(self, Z: Complex) -> Floats:
@@ -458,7 +469,7 @@ class CoherentSpinModel(SpinModel):
         return np.asarray(a[0] + (self._of_sites(x) * a[1:]).sum(axis=-1))
 
     def dipoles(self, x: Any) -> Floats:
-        """Return the dipoles <S> of the sites.
+        """Return the dipoles of the sites, the expectations of Sx, Sy and Sz.
 
         Parameters
         ----------

@@ -152,7 +152,8 @@ def _rows(sites: int, edges: Integers, coupling: Blocks, on_site: Blocks) -> Row
 
 def driving_field(force: Callable[..., Any], sites: int, width: int = 3) -> tuple[SplitHamiltonian, bool]:
     """Return ``-sum over sites s of f_s(t) . S_s``, f a function of the time, and whether f is equal at all sites."""
-    # Numba compiles `force`, which returns (3,), or (sites, 3). Components along one axis, the first of the `width` coordinates of a site, commute.
+    # Numba compiles `force`, which returns (3,), or (sites, 3), for the first three of the `width` coordinates of a
+    # site. Components along one axis commute.
     uniform = is_uniform(force, sites)
     pieces = [(range(axis, width * sites, width), _drive(force, axis, sites, uniform)) for axis in range(3)]
     return SplitHamiltonian(pieces), uniform

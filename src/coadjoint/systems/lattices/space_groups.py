@@ -27,7 +27,7 @@ class SymmetryOperations(NamedTuple):
     name: str
 
 
-def product(a: Floats, b: Floats) -> Floats:
+def product(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a b for small matrices, without BLAS, whose last bits differ between machines."""
     return np.asarray((a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2))
 

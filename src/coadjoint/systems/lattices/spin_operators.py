@@ -19,7 +19,7 @@ from coadjoint.systems.lattices.space_groups import product
 from coadjoint.validation import read_number
 
 Floats = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 MAX_LEVELS = 16  # of a site: its algebra has 255 dimensions and some 10^4 structure constants
 
@@ -83,7 +83,11 @@ def norms_of(levels: int) -> Floats:
 
 def orders(levels: int) -> list[tuple[int, int]]:
     """Return the rank k and the order q of the basis operators; -q is the imaginary part of q."""
-    of_ranks = [(rank, q) for rank in range(1, levels) for q in (1, -1, 0, *(s * q for q in range(2, rank + 1) for s in (1, -1)))]
+    of_ranks = [
+        (rank, q)
+        for rank in range(1, levels)
+        for q in (1, -1, 0, *(s * q for q in range(2, rank + 1) for s in (1, -1)))
+    ]
     return [(0, 0), *of_ranks]
 
 
@@ -101,7 +105,7 @@ def tensor_operators(levels: int) -> Complex:
     spin = operators(0.5 * (levels - 1))
     lowering = (spin[0] - 1j * spin[1]).real
     tensors = {(0, 0): np.eye(levels)}  # of both rank and order, q >= 0
-    highest = np.eye(levels)
+    highest: npt.NDArray[Any] = np.eye(levels)
     for rank in range(1, levels):
         tensor = highest = product(highest, -lowering.T)
         for q in range(rank, -1, -1):
@@ -110,7 +114,8 @@ def tensor_operators(levels: int) -> Complex:
     found: list[Complex] = []
     for rank, q in orders(levels):
         T = tensors[rank, abs(q)] * (-1.0) ** q
-        found.append(T + 0j if q == 0 else (T + T.T) / np.sqrt(2.0) + 0j if q > 0 else 1j * (T.T - T) / np.sqrt(2.0))
+        real, imaginary = T + T.T, 1j * (T.T - T)
+        found.append(T + 0j if q == 0 else np.sqrt(0.5) * (real + 0j if q > 0 else imaginary))
     basis = np.array(found) * np.sqrt(norms_of(levels))[:, None, None]
     basis[:4] = np.eye(levels), *spin
     basis.flags.writeable = False
@@ -142,7 +147,9 @@ def _without_roundoff(values: Floats) -> Floats:
 def rotations_of_operators(levels: int, rotations: Floats) -> Floats:
     """Return the matrices (..., N^2, N^2) by which proper rotations (..., 3, 3) act on coefficients of operators."""
     T, shape = tensor_operators(levels), rotations.shape[:-2]
-    found = [coefficients_of(product(product(U, T), U.conj().T)).T for U in map(_spinor(levels), rotations.reshape(-1, 3, 3))]
+    found = [
+        coefficients_of(product(product(U, T), U.conj().T)).T for U in map(_spinor(levels), rotations.reshape(-1, 3, 3))
+    ]
     return np.array(found).reshape(*shape, levels**2, levels**2)
 
 
@@ -163,7 +170,8 @@ def _spinor(levels: int) -> Any:
         axis = q[1:] / size if size > 0.0 else np.zeros(3)
         halvings = 8
         generator = -2j * np.arctan2(size, q[0]) / 2**halvings * (axis[:, None, None] * spin).sum(axis=0)
-        U = term = np.eye(levels) + 0j
+        U: npt.NDArray[Any] = np.eye(levels) + 0j
+        term = U
         for k in range(1, 16):
             term = product(term, generator) / k
             U = U + term
@@ -197,8 +205,8 @@ def site_algebra(levels: int, hbar: float) -> LieAlgebra:
             for k in np.flatnonzero(np.abs(values) > 1e-12 * levels).tolist():
                 c, value = b + 1 + k, float(values[k]) / hbar
                 found += [(a, b, c, value), (b, c, a, value), (a, c, b, -value)]
-    i, j, k, c = zip(*sorted(found), strict=True)
-    constants = Triples(*(np.array(column, dtype=np.int64) for column in (i, j, k)), np.array(c))
+    columns = [np.array(column) for column in zip(*sorted(found), strict=True)]
+    constants = Triples(columns[0], columns[1], columns[2], columns[3])
     square = {"|x|^2": Polynomial({tuple(2 * (a == b) for b in range(n)): 1.0 for a in range(n)})}
     names = ("Sx", "Sy", "Sz", *(f"T{rank}{'m' if q < 0 else ''}{abs(q)}" for rank, q in orders(levels)[4:]))
     return LieAlgebra._from_valid(constants, n, names, f"su({levels})", None, square)
