@@ -167,6 +167,8 @@ def test_spins_of_one_half_are_dipoles(units):
     ]
     assert np.allclose(runs[0].x, 2.0 * runs[1].x, atol=1e-13, rtol=0)
     assert np.allclose(runs[0].energy, runs[1].energy, rtol=0, atol=1e-12)
+    S = [co.spectra.structure_factor(run, [(0, 0, 0), (1 / 3, 0, 0)]) for run in runs]
+    assert np.allclose(S[0].intensity, S[1].intensity, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("S", [0.5, 1, 1.5, 2, 3.5])
