@@ -80,6 +80,11 @@ MEMBERS_OF = (
         CoherentSpinModel,
         "biquadratic coherent dipoles expectation from_amplitudes pair_coupling random single_ion",
     ),
+    (
+        "A spin model of SU(N), in addition",
+        CoherentSpinModel,
+        "biquadratic coherent dipoles expectation from_amplitudes pair_coupling random single_ion",
+    ),
     ("Mass properties", co.bodies.MassProperties, "about axes moments"),
     (
         "A solution",

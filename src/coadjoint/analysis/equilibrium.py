@@ -19,7 +19,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
-from coadjoint.systems.coordinates import CoordinateGroups, has_skew_actions
+from coadjoint.systems.coordinates import CoordinateGroups, has_skew_actions, independent_groups
 from coadjoint.systems.evaluation import ignore_overflow, scatter
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_choice
@@ -345,9 +345,9 @@ def _orbits_of_matrices(system: Any, x0: ArrayLike) -> tuple[MatrixOrbits, Float
 
 
 def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
-    algebra = orbit.system.algebra
-    rank, generic = orbit.tangents(y).basis.shape[1], algebra.generic_rank()
-    if rank < generic and not (rank and has_skew_actions(algebra)):
+    algebra, basis = orbit.system.algebra, orbit.tangents(y).basis
+    rank, generic = basis.shape[1], algebra.generic_rank()
+    if rank < generic and not (has_skew_actions(algebra) and _all_move(independent_groups(algebra), basis)):
         raise ValueError(
             f"x0 lies on a singular coadjoint orbit, of dimension {rank}; those around it have dimension {generic}, "
             "and energy on the orbit does not decide about stability; move x0, or take the subalgebra or quotient in "
@@ -355,6 +355,12 @@ def _check_regular(orbit: CoadjointOrbits, y: Floats) -> None:
         )
     if generic == 0:
         raise ValueError(f"the coadjoint orbits of {orbit.system.name} are points, and every state is an equilibrium")
+
+
+def _all_move(groups: NDArray[np.int64], basis: Floats) -> bool:
+    """Return whether some tangent moves each group of coordinates, such as a spin, of an orthonormal basis."""
+    inside = groups >= 0
+    return bool(np.all(np.bincount(groups[inside], (basis[inside] ** 2).sum(axis=1)) > 0.5))
 
 
 def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:

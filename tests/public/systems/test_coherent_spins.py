@@ -167,6 +167,8 @@ def test_spins_of_one_half_are_dipoles(units):
     ]
     assert np.allclose(runs[0].x, 2.0 * runs[1].x, atol=1e-13, rtol=0)
     assert np.allclose(runs[0].energy, runs[1].energy, rtol=0, atol=1e-12)
+    S = [co.spectra.structure_factor(run, [(0, 0, 0), (1 / 3, 0, 0)]) for run in runs]
+    assert np.allclose(S[0].intensity, S[1].intensity, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("S", [0.5, 1, 1.5, 2, 3.5])
@@ -365,6 +367,37 @@ def test_symmetry_turns_operators():
         model.biquadratic(CUBE.bonds(1)["1"], 0.1).pair_coupling(CUBE.bonds(1.5)["2"], np.kron(axial, np.eye(4)))
 
 
+def test_exchange_is_the_same_as_operators_of_pairs(tmp_path):
+    """Of bonds that rotations by 90 degrees take to others, and from files of directions."""
+    turning = co.spins.crystal(lattice=(4, 4, 5, 90, 90, 90), sites={"Fe": (0.1, 0.2, 0)}, space_group="P 4")
+    bond, S = turning.bonds(2)[0], spin_matrices(1)
+    J = np.random.default_rng(1).standard_normal((3, 3))
+    J = J if np.unique(bond._reversed).tolist() == [False] else J + J.T
+    empty = co.systems.spins(turning, (2, 2, 1), spin=1, mode="SU(N)")
+    x = empty.random(1)
+    operator = sum(J[a, b] * np.kron(S[a], S[b]) for a in range(3) for b in range(3))
+    pairs = empty.pair_coupling(bond, operator)
+    assert np.isclose(empty.exchange(bond, J).energy(x), pairs.energy(x), rtol=1e-12)
+    # Inversion at the middle of a bond exchanges its ends.
+    inverted = co.spins.crystal(lattice=(1, 2, 2, 80, 85, 95), sites={"Ni": (0, 0, 0)}, space_group="P -1")
+    with refused(ValueError, "not allowed by symmetry"):
+        co.systems.spins(inverted, (3, 1, 1), spin=1, mode="SU(N)").pair_coupling(
+            inverted.bonds(1)["1"], np.kron(S[0], S[1]) - np.kron(S[1], S[0])
+        )
+
+    rows = ["# cell", "1 2 2", "# vectors", "1 0 0", "0 1 0", "0 0 1", "# Atoms", "1 1", "0 0 0 0 0", "# Interactions"]
+    forward, backward = (" ".join(map(repr, matrix.ravel().tolist())) for matrix in (1e-22 * J, 1e-22 * J.T))
+    rows += ["2 tensorial", f"0 0 0 1 0 0 {forward}", f"1 0 0 -1 0 0 {backward}"]
+    path = tmp_path / "chain.ucf"
+    path.write_text("\n".join(rows) + "\n")
+    table = co.spins.read_exchange(path, CHAIN)
+    n = np.random.default_rng(2).standard_normal((4, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    vectors = co.systems.spins(CHAIN, (4, 1, 1), spin=3 / 2, units="meV").exchange(table)
+    states = co.systems.spins(CHAIN, (4, 1, 1), spin=3 / 2, units="meV", mode="SU(N)").exchange(table)
+    assert np.isclose(states.energy(states.coherent(n)), vectors.energy(n.ravel()), rtol=1e-12)
+
+
 def test_structure_factor_of_dipoles():
     D, J, L = 2.0, 0.3, 8
     model = co.systems.spins(CHAIN, (L, 1, 1), spin=1, mode="SU(N)").exchange(CHAIN.bonds(1)["1"], J)
@@ -462,6 +495,14 @@ def test_refusals(call, words):
     model = co.systems.spins(CHAIN, (3, 1, 1), spin=1, mode="SU(N)")
     with refused(ValueError, words):
         call(model)
+
+
+def test_equilibria_need_sites_that_move():
+    model = co.systems.spins(CHAIN, (3, 1, 1), spin=1, mode="SU(N)").exchange(CHAIN.bonds(1)["1"], 1.0)
+    x0 = model.coherent(UP)
+    x0[:8] = 0.0
+    with refused(ValueError, "singular"):
+        co.equilibrium(model, x0)
 
 
 @pytest.mark.parametrize("spin", [0.7, 0, 8, {"A": 1, "B": 2}])

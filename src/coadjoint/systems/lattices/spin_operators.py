@@ -145,12 +145,17 @@ def _without_roundoff(values: Floats) -> Floats:
 
 
 def rotations_of_operators(levels: int, rotations: Floats) -> Floats:
-    """Return the matrices (..., N^2, N^2) by which proper rotations (..., 3, 3) act on coefficients of operators."""
-    T, shape = tensor_operators(levels), rotations.shape[:-2]
-    found = [
-        coefficients_of(product(product(U, T), U.conj().T)).T for U in map(_spinor(levels), rotations.reshape(-1, 3, 3))
-    ]
-    return np.array(found).reshape(*shape, levels**2, levels**2)
+    """Return the matrices (k, N^2, N^2) by which orthogonal (k, 3, 3) act on coefficients of operators.
+
+    Spins are axial: reflections act as their products with the inversion.
+    """
+    T, spinor = tensor_operators(levels), _spinor(levels)
+    proper = (np.cross(rotations[:, 0], rotations[:, 1]) * rotations[:, 2]).sum(axis=1)
+    found = []
+    for R in rotations * np.sign(proper)[:, None, None]:
+        U = spinor(R)
+        found.append(coefficients_of(product(product(U, T), U.conj().T)).T)
+    return np.array(found)
 
 
 def _spinor(levels: int) -> Any:

@@ -133,9 +133,16 @@ NOINLINE void cubic_several(const Action& action, const C& constants, uint32_t r
     store(sines, rotations.sine);
     store(cosm1s, rotations.cosm1);
     for (uint32_t k = 0; k < SPREAD; ++k) {
-        gather(BlockRows(action, run + k), x);
-        const Rotation<double> rotation{sines[k], cosm1s[k]};
-        cubic_by<summation>(action, constants, run + k, CubicFactors<double>(action, constants, run + k, rotation), x);
+        const BlockRows block(action, run + k);
+        const CubicFactors<double> factors(action, constants, run + k, Rotation<double>{sines[k], cosm1s[k]});
+        if constexpr (summation != CORRECTED && Numbers<V>::lanes == 1) {
+            if (block.width == 3 && block.entries == 9 && x.rows == 1) {
+                cubic_triple<summation>(action, constants, block, factors, x.at, x.errors);
+                continue;
+            }
+        }
+        gather(block, x);
+        cubic_by<summation>(action, constants, run + k, factors, x);
     }
 }
 

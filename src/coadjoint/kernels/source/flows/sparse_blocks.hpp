@@ -114,12 +114,12 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
         return;
     }
     // Rows of D and D^2 are summed in registers, during the latency of the sine.
-    const auto move_row = [&](uint32_t k, uint32_t first_entry, uint32_t end, const auto& column) {
+    for (uint32_t k = 0; k < block.width; ++k) {
         int64_t i = block.coordinates[k] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {
             V first(0.0), second(0.0), rest(0.0);
-            for (uint32_t entry = first_entry; entry < end; ++entry) {
-                V v = x.workspace[column(entry) * x.rows + row];
+            for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                V v = x.workspace[block.columns[entry] * x.rows + row];
                 first = fma(V(constant(values + entry)), v, first);
                 second = fma(V(constant(squares + entry)), v, second);
                 rest = fma(V(constant(rests + entry)), v, rest);
@@ -127,15 +127,31 @@ INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, con
             second += rest;
             add<summation>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
-    };
-    if (block.width == 3 && block.entries == 9) {
-        // Without indices: rotations of vectors about any axis, and of quadrupoles.
-#pragma GCC unroll 3
-        for (uint32_t k = 0; k < 3; ++k) move_row(k, 3 * k, 3 * k + 3, [=](uint32_t entry) { return entry - 3 * k; });
-        return;
     }
-    for (uint32_t k = 0; k < block.width; ++k)
-        move_row(k, block.starts[k], block.starts[k + 1], [&](uint32_t entry) { return block.columns[entry]; });
+}
+
+// The same for one vector and a block of three coordinates with all nine entries, without indices.
+template <Summation summation, class C>
+INLINE void cubic_triple(const Action& action, const C& constants, const BlockRows& block,
+                         const CubicFactors<double>& factors, double* x, double* errors) {
+    const int64_t values = block.constant + CUBIC_HEADER;
+    auto constant = [&](int64_t position) {
+        return constants.template number_at<double>(action.constants, values + position);
+    };
+    const uint32_t* coordinates = block.coordinates;
+    const double old[3] = {x[coordinates[0]], x[coordinates[1]], x[coordinates[2]]};
+#pragma GCC unroll 3
+    for (int k = 0; k < 3; ++k) {
+        double first = 0.0, second = 0.0, rest = 0.0;
+#pragma GCC unroll 3
+        for (int j = 0; j < 3; ++j) {
+            first = fma(constant(3 * k + j), old[j], first);
+            second = fma(constant(9 + 3 * k + j), old[j], second);
+            rest = fma(constant(18 + 3 * k + j), old[j], rest);
+        }
+        second += rest;
+        add<summation>(x, errors, coordinates[k], old[k], fma(factors.s, first, factors.c * second));
+    }
 }
 
 template <Summation summation, class A, class V, class C>
