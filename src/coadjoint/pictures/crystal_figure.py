@@ -102,11 +102,17 @@ def draw_bonds(crystal: Crystal, bonds: Sequence[Bond], view: tuple[float, float
             flat, depth = project([first, last])
             axes.plot(*flat.T, color=ink(), alpha=PALE, linewidth=thickness(0.6), zorder=order(depth.min()) - 0.01)
     flat, _ = project(np.concatenate([np.zeros((1, 3)), np.eye(3)]))
-    text = {"fontsize": setting("axes.titlesize"), "color": ink(), "ha": "center", "va": "center", "style": "italic"}
+    text: dict[str, Any] = {
+        "fontsize": setting("axes.titlesize"),
+        "color": ink(),
+        "ha": "center",
+        "va": "center",
+        "style": "italic",
+    }
     for end, name in zip(flat[1:], "abc", strict=True):
         along = end - flat[0]
         beyond = 0.07 * float(np.ptp(flat)) * along / max(float(np.hypot(*along)), 1e-300)
-        axes.text(*(end + beyond), name, zorder=4.0, **text)
+        axes.text(end[0] + beyond[0], end[1] + beyond[1], name, zorder=4.0, **text)
         axes.update_datalim([end + beyond])
     sites = {(k, *n): True for k, n in _inside(crystal.positions)}
     for number, bond in enumerate(listed):
@@ -115,7 +121,11 @@ def draw_bonds(crystal: Crystal, bonds: Sequence[Bond], view: tuple[float, float
             sites.setdefault((i, *n), False)
             sites.setdefault((j, *m), False)
             flat, depth = project([crystal.positions[i] + n, crystal.positions[j] + m])
-            style = {"color": colour(number), "alpha": 1.0 if whole else PALE, "linewidth": thickness(1.6)}
+            style: dict[str, Any] = {
+                "color": colour(number),
+                "alpha": 1.0 if whole else PALE,
+                "linewidth": thickness(1.6),
+            }
             axes.plot(*flat.T, zorder=order(depth.mean()), label=label, **style)
             label = "_"
     kinds, seen = list(dict.fromkeys(crystal.labels)), set[str]()

@@ -234,6 +234,27 @@ def test_symmetry_propagates_and_refuses():
         co.systems.spins(trigonal, (1, 1, 1)).single_ion("Fe", {"B44": 0.2})
 
 
+def test_sites_without_symmetry_get_functions_turned_by_their_rotations():
+    """In P 3 a general site allows everything, and the functions of the others are turned by 120 degrees, not back."""
+    crystal = co.spins.crystal(lattice=(4, 4, 5, 90, 90, 120), sites={"Fe": (0.2, 0.1, 0.3)}, space_group="P 3")
+    given = {"B21": 0.3, "B43": 0.5, "B4-1": 0.2, "B62": -0.1}
+    ions = co.systems.spins(crystal, (1, 1, 1), periodic=False).single_ion(0, given)
+    third = np.array([[-0.5, -np.sqrt(0.75), 0], [np.sqrt(0.75), -0.5, 0], [0, 0, 1]])
+    places = crystal.positions @ crystal.lattice
+    n, rest = start(1, 8), np.tile([0.0, 0.0, 1.0], 3)
+
+    def energy(site, direction):
+        x = rest.copy()
+        x[3 * site : 3 * site + 3] = direction
+        return ions.energy(x) - ions.energy(rest)
+
+    moved = third @ places[0] - places
+    steps = moved @ np.linalg.inv(crystal.lattice)
+    (image,) = np.flatnonzero(np.abs(steps - np.round(steps)).max(axis=1) < 1e-9)
+    assert image != 0 and abs(energy(image, third @ n) - energy(0, n)) < 1e-13
+    assert abs(energy(image, third.T @ n) - energy(0, n)) > 1e-3
+
+
 def test_temperature_and_equilibrium():
     """Energies in thermal states, also with baths, are quadratures; the easy axes of a cube are its diagonals."""
     kT = 0.5

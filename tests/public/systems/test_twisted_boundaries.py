@@ -57,6 +57,16 @@ def test_motion_is_that_of_a_larger_lattice(axis):
         assert list(small.integrals) == ["total S3"]
 
 
+def test_what_a_twist_conserves():
+    """Of the total spin the component along the axis alone, also where no exchange is twisted."""
+    row = co.systems.spins(SQUARE, (3, 1, 1), periodic=(True, False, False), twist=(1.0, 0, 0)).biquadratic(ROW, 0.5)
+    x0 = np.random.default_rng(3).standard_normal((3, 3))
+    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
+    sol = co.integrate(row, x0.ravel(), (0, 1), 0.01, co.GaussLegendre(3))
+    totals = np.ptp(sol.x.reshape(len(sol.t), 3, 3).sum(axis=1), axis=0)
+    assert list(row.integrals) == ["total S3"] and totals[2] < 1e-13 and totals[:2].min() > 1e-3
+
+
 def test_spirals_of_any_wave_vector():
     """A chain with J1 < 0 < J2 has at the wave vector q the energy S^2 (J1 cos q + J2 cos 2q) a site, at rest."""
     J1, J2, S, cells = -1.0, 0.4, 1.5, 5

@@ -264,7 +264,8 @@ def _sparse_polynomial_of(record: Entry, dim: int) -> SeparatePolynomial:
     monomials: SparseMonomials = {}
     for term in record.reject_unknown("kind", "dim", "monomials")["monomials"].entries():
         coefficient, factors = term.entries(2)
-        key = tuple(tuple(pair.integers(max(dim - 1, MAX_DEGREE), 2)) for pair in factors.entries())
+        pairs = [pair.integers(max(dim - 1, MAX_DEGREE), 2) for pair in factors.entries()]
+        key = tuple((k, e) for k, e in pairs)
         coordinates = [k for k, _ in key]
         is_valid = coordinates == sorted({*coordinates}) and max(coordinates, default=0) < dim
         if not is_valid or not all(e for _, e in key) or sum(e for _, e in key) > MAX_DEGREE or key in monomials:

@@ -512,8 +512,8 @@ class SpinModel(LiePoissonSystem):
     def _check_bond(self, bond: Any, what: str) -> None:
         check_bond(self.crystal, bond)
         declared = self._declared
-        given = [(one.what, one.bond) for one in (*declared.couplings, *declared.biquadratics)]
-        if (what, bond.name) in given:
+        given: tuple[Coupling | Biquadratic, ...] = (*declared.couplings, *declared.biquadratics)
+        if any((one.what, one.bond) == (what, bond.name) for one in given):
             raise ValueError(f"bond {bond.name} has {what} in this model; give the sum of both once")
 
     def _coupled(self, what: str, bond: Bond, matrices: Floats, text: str) -> Self:
