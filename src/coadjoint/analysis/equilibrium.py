@@ -367,7 +367,7 @@ def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
     last, reference, scale = np.inf, orbit.sizes(x), orbit.field_scale(x)
     # On unitary orbits descents end at fluids whose energy is flat, far from definite ones.
-    is_long = len(x) > EIGENVALUES_BELOW and isinstance(orbit, CoadjointOrbits)
+    is_gated = len(x) > EIGENVALUES_BELOW and isinstance(orbit, CoadjointOrbits)
     # Ways of descents, and the change of the field along them: by these, directions know the second variation.
     pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
     latest: tuple[Floats, Floats] | None = None
@@ -381,7 +381,7 @@ def _critical_point(orbit: Orbits, x: Floats, direction: float) -> Floats:
             return x
         note_progress(f"a state, now with the residual {residual:.1e}")
         near = residual <= NEWTON_FROM * scale and count >= until
-        if direction and near and is_long and count < descents - more:
+        if direction and near and is_gated and count < descents - more:
             # Far from definite, a Newton step takes the time of many descents, which end nearer to an equilibrium.
             near = _is_semidefinite(orbit, x, direction)
             until, more = (until, more) if near else (count + more, 2 * more)
@@ -461,13 +461,13 @@ def _newton_step(orbit: Orbits, x: Floats, field: Floats, direction: float, radi
         length = float(np.linalg.norm(components))
         v = direction * (tangents.basis @ components)
         size = orbit.norm(v)
-        if size > 1.5 * MAX_ANGLE:
+        if size > 1.5 * MAX_ANGLE:  # which is nearly proportional to the radius
             radius = length * MAX_ANGLE / size
             continue
         moved, slope = orbit.moved(x, v), float(gradient @ components)
         change = direction * orbit.energy(moved) - energy
         predicted = slope - 0.5 * float(components @ (direction * matrix) @ components)
-        if change <= -LEAST_SHARE * predicted or slope <= ROUNDS * UNIT_ROUNDOFF * (1.0 + abs(energy)):
+        if not (change > -LEAST_SHARE * predicted and slope > ROUNDS * UNIT_ROUNDOFF * (1.0 + abs(energy))):
             is_as_predicted = change <= -0.75 * predicted and length >= 0.9 * radius
             return moved, 2.0 * radius if is_as_predicted else radius
         radius = 0.5 * length

@@ -47,7 +47,9 @@ def check_representation(value, limit):
     assert not re.search(r"[\d.]\.\.\.", text), text
 
 
-@pytest.mark.parametrize("name", long_where(["layered_qg", "torus_euler"], co.systems.names()))  # metrics of 2400 rows
+@pytest.mark.parametrize(
+    "name", long_where(["layered_qg", "thermal_qg", "torus_euler"], co.systems.names())
+)  # metrics of 2400 rows
 def test_systems_with_forces_and_batches_are_one_line(name):
     system = co.systems.get(name)
     check_representation(system, 260)

@@ -264,7 +264,7 @@ def test_other_forces():
             s.with_forces(force)
 
 
-@EACH
+@pytest.mark.parametrize("name", ["sphere", "torus"])
 def test_files_datasets_and_pictures(name, tmp_path):
     s = FLOWS[name]
     x0 = start_of(s)

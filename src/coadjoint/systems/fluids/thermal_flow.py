@@ -88,7 +88,7 @@ class ThermalQG(TwoLayerSystem):
         Parameters
         ----------
         X : (..., 2, N, N) array or sequence of two (N, N) arrays
-            b and q.
+            b and q, such as ``[fluid.from_modes(b, absolute=True), fluid.random(seed=1)]`` of `fluid`.
 
         Returns
         -------
@@ -119,7 +119,7 @@ class ThermalQG(TwoLayerSystem):
         Parameters
         ----------
         X : (..., 2, N, N) array or sequence of two (N, N) arrays
-            Such as ``[fluid.from_modes(b, absolute=True), fluid.relative(fluid.random(seed=1))]`` of `fluid`.
+            b and the Laplacian of psi, such as ``fluid.relative(fluid.random(seed=1))`` of `fluid`.
 
         Returns
         -------
@@ -229,8 +229,8 @@ def thermal_qg(
     -------
     ThermalQG
         States (2, N, N): b and W = q + mu b, on the torus q + b; ``absolute([b, omega])`` makes one of a relative
-        vorticity, ``from_potential([b, q])`` of q. The unit of b is 1/time: it is ``f/(2 g)`` times the relative
-        difference in buoyancy g', with f as above. The energy is the integral of
+        vorticity, ``from_potential([b, q])`` of q. The unit of b is 1/time: where the gravity g of the layer is g + g',
+        it is ``f g'/(2 g)``, with f as above. The energy is the integral of
         ``(|u|^2 + (gamma + lamb mu^2) psi^2 - h b)/2``. Casimirs ``tr Theta^k``, integrals of powers of b, and
         ``tr W Theta^k``, of W times these. Integral: on the sphere, if topography and bathymetry do not depend on the
         longitude, that of mu W.
@@ -250,16 +250,18 @@ def thermal_qg(
     -----
     The equations are those of a semidirect product, ``b' = [P, b]``, ``W' = [P, W] + [J, b]`` with P of psi and J of
     ``h/2 - mu psi``, and their steps those of `reduced_mhd`. `Friction`, `Viscosity` and `BetaPlane` act on q at a
-    given b, and with ``layer="carried"`` on b at a given q. The torus is an f-plane: mu is 1.
+    given b, and with ``layer="carried"`` on b at a given q. The torus is an f-plane: mu is 1. On the sphere W is the
+    potential vorticity of thermal shallow water at small Rossby numbers.
 
-    D. D. Holm, E. Luesink, W. Pan, Phys. Fluids 33 (2021) 046603; F. J. Beron-Vera, Rev. Mex. Fis. 67 (2021) 351; on
-    the sphere M. Roop, S. Ephrati, arXiv:2505.17044.
+    D. D. Holm, E. Luesink, W. Pan, Phys. Fluids 33 (2021) 046603; F. J. Beron-Vera, Rev. Mex. Fis. 67 (2021) 351; for
+    another treatment of the sphere see M. Roop, S. Ephrati, arXiv:2505.17044.
 
     Examples
     --------
     >>> import coadjoint as co
     >>> s = thermal_qg(N=9, gamma=4.0, bathymetry={(1, 1): 0.2}, surface="torus")
-    >>> x0 = s.absolute([s.fluid.from_modes({(0, 1): 0.5}), s.fluid.random(seed=1)])
+    >>> b = s.fluid.from_modes({(0, 1): 0.5}, absolute=True)
+    >>> x0 = s.from_potential([b, s.fluid.random(seed=1)])
     >>> sol = co.integrate(s, x0, (0, 1), 0.02, co.IsospectralGauss())
     >>> bool(sol.drift()["tr W Theta"] < 1e-13), bool(sol.drift()["energy"] < 1e-4)
     (True, True)
