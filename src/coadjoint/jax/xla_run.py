@@ -302,8 +302,8 @@ class XlaRun:
         near = is_near(x, x0, x1, self._groups)
         if element is None:
             return near
-        flat = [one.ravel() for one in (element, element0, element1)]
-        return near & is_near(*flat, np.zeros(element.size, dtype=np.int64))
+        own, known, last = (one.ravel() for one in (element, element0, element1))
+        return near & is_near(own, known, last, np.zeros(element.size, dtype=np.int64))
 
     def _partial_steps(self, constants: Any, states: Any, member: Any) -> Any:
         """Return the states after the steps of output times, each with a step of what remains of its time."""

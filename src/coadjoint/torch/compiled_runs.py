@@ -34,7 +34,7 @@ def _in_turn(function: Callable[..., Any], size: int, dims: Any, tensors: Any) -
     return found, (0,) * len(found)
 
 
-class OnHost(torch.autograd.Function):
+class OnHost(torch.autograd.Function):  # type: ignore[misc]
     """A function of NumPy arrays, for tensors: transforms of PyTorch unwrap the arguments of `forward` alone."""
 
     @staticmethod
@@ -58,7 +58,7 @@ class OnHost(torch.autograd.Function):
         return _in_turn(lambda *own: OnHost.apply(compute, *own), info.batch_size, in_dims[1:], tensors)
 
 
-class RunFunction(torch.autograd.Function):
+class RunFunction(torch.autograd.Function):  # type: ignore[misc]
     """A run of values by their names, of which derivatives are those of compiled loops."""
 
     @staticmethod

@@ -25,7 +25,7 @@ from coadjoint.torch.energies import TorchFunction, double
 CALLER = "co.torch.solution"
 
 
-class FixedPoint(torch.autograd.Function):
+class FixedPoint(torch.autograd.Function):  # type: ignore[misc]
     """The solution z of z = prepare(*arguments)(z) by iterations, differentiated as this equation to every order."""
 
     # Arguments: `prepare`, the first guess, sizes whose round-off entries of z have too, and tensors.
@@ -210,10 +210,10 @@ class StageRun:
         marks = times.saved if moments is None else moments.number
         lengths = np.zeros(len(marks)) if moments is None else moments.length
         outputs = {int(k): np.flatnonzero(marks == k) for k in marks}
-        x, saved = x0, {}
+        x, saved, starts = x0, dict[int, Any](), times.at(np.arange(times.steps + 1))
         guess = x0.new_zeros(len(self._tableau[0]), x0.shape[-1])
         for k in range(int(marks[-1]) + 1):
-            t = float(times.at(k))
+            t = float(starts[k])
             for point in outputs.get(k, ()):
                 saved[int(point)] = self._step(x, t, float(lengths[point]), leaves, structure, 0.0 * guess)[0]
             if k < marks[-1]:

@@ -105,14 +105,14 @@ class ParametrizedEnergy:
                 )
 
 
-def function_of(term: Any, kind: type) -> tuple[Any, float]:
+def function_of(term: Any, kind: type[Any]) -> tuple[Any, float]:
     """Return the function that an object of this kind calls for the value of a term, or None, and its factor."""
     value, outer = without_multiples(getattr(term, "value", None))
     function, inner = without_multiples(value.function if isinstance(value, kind) else None)
     return function, math.prod(float(one.factor) for one in (*inner, *outer))
 
 
-def energy_of(system: Any, kind: type) -> Any:
+def energy_of(system: Any, kind: type[Any]) -> Any:
     """Return the energy of a system that has params, or None; raise TypeError for several of them."""
     functions = [function_of(term, kind)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
     found = [*{id(one): one for one in functions if isinstance(one, ParametrizedEnergy)}.values()]
