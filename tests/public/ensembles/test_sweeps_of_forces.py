@@ -16,6 +16,7 @@ F = co.forces
 T0, STEP, STEPS = 0.3125, 0.0625, 6  # exact, also in runs that are resumed
 MEMBERS = 35  # more than are lanes, and not a multiple of them
 BODY = (1.0, 2.0, 2.5)
+FIXED = {"period", "normals"}  # that have few values: whole numbers of steps, unit vectors
 
 
 def scaled(value: Any, factor: float) -> Any:
@@ -37,7 +38,8 @@ def parameters_of_forces() -> list[Any]:
                 continue
             for field in fields(force):
                 value = getattr(force, field.name)
-                if not any(type(one) is float and one for one in np.ravel(np.array(value, dtype=object)).tolist()):
+                numbers = np.ravel(np.array(value, dtype=object)).tolist()
+                if field.name in FIXED or not any(type(one) is float and one for one in numbers):
                     continue
                 # Functions on bodies take Numba some time.
                 marks = [pytest.mark.long] if number and name != "Pointing" else []
@@ -113,6 +115,7 @@ def noises(members: int) -> list[Any]:
         bath=lambda k: F.HeatBath(alpha=0.1 + k / 64, temperature=(k % 3) / 32, seed=3),
         noise=lambda k: F.HamiltonianNoise(("x1", "x2*x2"), strength=(0.1 + k / 64, 0.25), seed=4),
         kicks=lambda k: F.RandomTorque(0.1 + k / 32, seed=5),
+        of_inertia=lambda k: F.Langevin(0.25, temperature=0.1 + k / 64, seed=6),
     )
 
 
@@ -122,19 +125,25 @@ METHODS: dict[str, Any] = {
     "Gauss": (co.GaussLegendre(1), damped),
     "Gauss with noise": (co.GaussLegendre(1), noises),
     "Taylor": (co.Taylor(8), damped),
-    "noise": (co.Splitting(), noises),
 }
 
 
-@pytest.mark.parametrize("case", METHODS)
-def test_schemes(case):
-    method, make = METHODS[case]
-    systems = make(MEMBERS)
+def assert_together(systems: Any, method: Any) -> None:
     x0 = states(systems[0], MEMBERS)
     whole = run(co.batch(systems), x0, method)
     assert_as_alone(systems, x0, whole, (0, 2, 31, 33), method)
     threads = run(co.batch(systems), x0, method, threads=2)
     assert threads.x.tobytes() == whole.x.tobytes()
+
+
+@pytest.mark.parametrize("case", METHODS)
+def test_schemes(case):
+    method, make = METHODS[case]
+    assert_together(make(MEMBERS), method)
+
+
+def test_noise_of_members():
+    assert_together(noises(MEMBERS), co.Splitting())
 
 
 def test_backward_and_units():

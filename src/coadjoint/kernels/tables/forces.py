@@ -162,7 +162,9 @@ class _ForceTableBuilder:
         return self._table("DAMPING", rate, np.zeros(self.n), **noisy)
 
     def hamiltonian_noise(self, terms: NoiseTerms, seed: int, stream: int, levels: int) -> ForceTable:
-        energies = {k: H for term in terms.terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)}
+        energies: dict[int, Any] = {
+            k: H for term in terms.terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)
+        }
         places = {k: place for place, k in enumerate(energies)}
         columns = [[*map(places.get, term.indices)] if term.energies else term.indices for term in terms.terms]
         leaders = [terms.terms[members[0]] for members in terms.sets]
@@ -402,7 +404,7 @@ def field_table(system: Any) -> KernelFunction:
     return FieldTable(ctypes.addressof(structure), (structure, owners), lambda: (field_table, (system,)))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _field_of_energy(system: Any, H: Any) -> KernelFunction:
     """Return the field of another Hamiltonian on a system, which members that have the function share."""
     return field_table(with_hamiltonian(system, H))
@@ -455,11 +457,12 @@ def forced_loop(
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
     referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
-    # Members with constants of their own are lanes of one step.
+    # Members with constants of their own are lanes of one step, in the memory that 32 of them need.
     in_columns = (
         representation is None
         and not hamiltonian_part.has_matrices
         and system.dim <= limit("WIDEST")
+        and all(len(table.rate) <= MAX_NUMBERS_IN_LANES for table in tables)
         and all(one.name != STEP_LOOP for one in inner.values())
     )
     return loop_over(STEP_LOOP, step, work_integrals=work_integrals, referenced=referenced, in_columns=in_columns)
@@ -514,6 +517,9 @@ def compiled_flow(
 
 NUMBERS = ("rate", "aim", "function", "amplitude", "turning", "basis")
 """Fields of the table of a force that may differ between members that share its structure."""
+STRUCTURAL = [k for k, name in enumerate(ForceTable._fields) if name not in NUMBERS]
+MAX_NUMBERS_IN_LANES = 4096
+"""Entries of the matrix of a damping, of which members with their own, as lanes, need some megabytes."""
 SPACING = 2**40
 """Distance between the first numbers of the tables of two forces, as sources."""
 
@@ -554,10 +560,9 @@ def with_forces(stack: SystemStack, order: int) -> list[SystemStack]:
     return [_with_numbers(stack.take(np.array(columns)), [tables[c] for c in columns]) for columns in groups.values()]
 
 
-def _structure_of_force(table: Any) -> Hashable:
+def _structure_of_force(table: ForceTable) -> Hashable:
     """Return what members that share the structure of a table have in common."""
-    common = [getattr(table, name) for name in table._fields if name not in NUMBERS]
-    common.append(table.amplitude > 0.0)  # whether there is noise
+    common = [table[k] for k in STRUCTURAL]
     if table.kind == codes("ForceKind")["HAMILTONIAN_NOISE"]:
         common.append(table.aim)  # numbers of midpoint rules
     sizes = [len(getattr(table, name)) for name in NUMBERS]

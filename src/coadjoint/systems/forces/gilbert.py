@@ -115,8 +115,8 @@ class Gilbert(HeatBath):
 
     def _per_coordinate(self, system: Any, values: Any) -> NDArray[np.float64]:
         """Return a number of all spins or of each as one of each coordinate, (n,); zero for others."""
-        found = np.zeros(system.dim)
-        found[_spins_of(system).coordinates] = np.broadcast_to(values, len(_spins_of(system).constants))[:, None]
+        found, spins = np.zeros(system.dim), _spins_of(system)
+        found[spins.coordinates] = np.broadcast_to(values, len(spins.constants))[:, None]
         return found
 
     def _factors(self, system: Any) -> tuple[NDArray[np.float64], SpinTerms]:

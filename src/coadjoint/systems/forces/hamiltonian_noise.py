@@ -142,7 +142,8 @@ class HamiltonianNoise(OrbitNoise):
 
     def linear_coefficients(self, system: Any) -> Floats | None:
         """Return the coefficients (d, n) of H_k if all are linear, else None."""
-        found = [_linear_part(H, system.dim) for H in self.hamiltonians_on(system)]
+        energies: tuple[Any, ...] = self.hamiltonians_on(system)
+        found = [_linear_part(H, system.dim) for H in energies]
         return None if any(one is None for one in found) else np.array(found)
 
     def terms(self, system: Any) -> NoiseTerms:
@@ -232,6 +233,7 @@ def _on_system(H: Any, system: Any, owner: str) -> Any:
     return found
 
 
+@lru_cache(maxsize=64)
 def _linear_part(H: Any, n: int) -> Floats | None:
     """Return the coefficients of a linear function (a constant is irrelevant), else None."""
     total = np.zeros(n)
@@ -266,9 +268,9 @@ def _elements_on(noise: HamiltonianNoise, system: Any) -> NDArray[Any]:
     return np.asarray(np.tensordot(columns.T, np.array(elements), axes=1))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _terms_on(noise: HamiltonianNoise, system: Any) -> NoiseTerms:
-    energies = noise.hamiltonians_on(system)
+    energies: tuple[Any, ...] = noise.hamiltonians_on(system)
     linear = [_linear_part(H, system.dim) for H in energies]
     strength = np.asarray(noise.strength, dtype=np.float64)
     columns = np.diag(np.broadcast_to(strength, len(energies))) if strength.ndim < 2 else strength
