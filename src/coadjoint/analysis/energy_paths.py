@@ -86,8 +86,8 @@ def minimum_energy_path(
     images : int
         States of the path, from 5 to 1000, both ends included.
     seed : int
-        Seed of the small tilts of the first path, from 0 to 2^62. Opposite spins turn over about a random axis: another
-        seed may find another path.
+        Seed of the small tilts of the first path, from 0 to 2^62. Opposite spins turn over about a random axis. The
+        path is the lowest near the first one: compare seeds and numbers of images.
 
     Returns
     -------

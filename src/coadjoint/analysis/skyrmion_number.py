@@ -138,7 +138,7 @@ def _plane(model: Any) -> Plane:
     name, parameters = layout.get("lattice"), getattr(model, "parameters", None) or {}
     if not has_cell(name) or len(CELLS[name].edges) != 2 or "periodic" not in parameters:
         raise TypeError(
-            f"{getattr(model, 'name', model)!r} is no lattice in the plane; skyrmion_number takes models of "
+            f"{short(getattr(model, 'name', model))} is no lattice in the plane; skyrmion_number takes models of "
             "co.systems.spins, and spin_lattice with a square, triangular, honeycomb or kagome lattice and a field "
             "that is no function"
         )

@@ -410,11 +410,12 @@ def mesh_of(system: Any) -> tuple[tuple[int, int, int], Floats | None, Floats]:
         signs = np.full(math.prod(system.size), np.sign(system.moments[0]))
         signs[occupied_of(system)] = np.sign(system.moments)
         return system.size, edges * 1e-10 if system.units == "meV" else None, signs
-    name, shape = (getattr(system, "layout", {}).get(key) for key in ("lattice", "shape"))
+    name, shape = (system.layout.get(key) for key in ("lattice", "shape"))
     if name not in MESHES or shape is None:
         raise ValueError(
-            f"{getattr(system, 'name', system)!r} has no rectangular mesh with one spin in a cell; OVF takes models "
-            f"of co.systems.spins, and spin_lattice with one of {', '.join(MESHES)}"
+            f"{system.name} has no rectangular mesh with one spin in a cell; OVF takes models of co.systems.spins "
+            "(which co.load takes as system=, since archives have no crystals), and spin_lattice with one of "
+            f"{', '.join(MESHES)}"
         )
     cells = read_mesh(shape)
     return cells, None, np.full(math.prod(cells), -1.0)

@@ -86,6 +86,7 @@ def test_runs_that_are_not_written(tmp_path):
     square = co.integrate(co.systems.spin_lattice("square", (2, 2)), unit_vectors((4,)).ravel(), (0, 1), 0.5)
     kagome = co.integrate(co.systems.spin_lattice("kagome", (1, 2)), unit_vectors((6,)).ravel(), (0, 1), 0.5)
     (tmp_path / "file").write_text("")
+    rigid = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0, 0.1), (0, 1), 0.5)
     for one, given, words in [
         (sol, {"cell": CELL}, "leave it out"),
         (sol, {"member": 0}, "no members"),
@@ -93,6 +94,7 @@ def test_runs_that_are_not_written(tmp_path):
         (pair, {"member": 2}, "member"),
         (square, {}, "no unit of length"),
         (kagome, {"cell": CELL}, "rectangular mesh"),
+        (rigid, {"cell": CELL}, "rectangular mesh"),
         (sol, {"data": "binary 2"}, "binary 8"),
         (sol, {"path": tmp_path / "file"}, "folder"),
         (sol, {"path": tmp_path / "none" / "run"}, "folder"),
