@@ -170,8 +170,6 @@ def common_lattice(system: Any) -> Lattice:
     """Return the lattice that the members of a system have in common; ValueError if there is none."""
     first, *others = (lattice_of(member.unforced) for member in system.distinct)
     for other in others:
-        if other.hbar != first.hbar:
-            raise ValueError("the members have different units; integrate those of equal ones")
         if other.sizes != first.sizes or not all(map(np.array_equal, first[2:4], other[2:4])):
             raise ValueError(
                 f"the members have different lattices ({first.text}, and {other.text}); integrate those of one lattice"
