@@ -372,7 +372,6 @@ def test_exchange_is_the_same_as_operators_of_pairs(tmp_path):
     turning = co.spins.crystal(lattice=(4, 4, 5, 90, 90, 90), sites={"Fe": (0.1, 0.2, 0)}, space_group="P 4")
     bond, S = turning.bonds(2)[0], spin_matrices(1)
     J = np.random.default_rng(1).standard_normal((3, 3))
-    J = J if np.unique(bond._reversed).tolist() == [False] else J + J.T
     empty = co.systems.spins(turning, (2, 2, 1), spin=1, mode="SU(N)")
     x = empty.random(1)
     operator = sum(J[a, b] * np.kron(S[a], S[b]) for a in range(3) for b in range(3))
