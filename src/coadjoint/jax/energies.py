@@ -1,4 +1,4 @@
-"""Energies of the state and of parameters that a run takes as an argument, such as the weights of a network."""
+"""Functions of the state and of parameters that a run takes as an argument, such as the weights of a network."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from coadjoint.jax.primitives import doubles
 from coadjoint.short_repr import short
@@ -17,14 +18,14 @@ from coadjoint.systems.user_functions import parameters_of_function, without_mul
 from coadjoint.validation import is_real
 
 NAME = "params"
-"""The argument of a run with the parameters of its energy."""
+"""The argument of a run with the parameters of its energy and forces."""
 
 
-class ParametrizedEnergy:
-    """The energy H(x) = function(x, params), or of (x, t), at the params given, which are arrays of float64."""
+class ParametrizedFunction:
+    """A function of (x, params), or of (x, params, t), at the params given, which are arrays of float64."""
 
-    caller = "co.jax.energy"
-    of_jax = True
+    caller: str
+    symbol: str
     counts: tuple[int, ...] = (2, 3)
     taken = "(x, params) or (x, params, t)"
 
@@ -35,10 +36,12 @@ class ParametrizedEnergy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def _arguments(self, function: Any) -> list[inspect.Parameter]:
-        """Return the arguments of the energy: those of the function without params, which are the second one."""
+        """Return the arguments at fixed params, which are the second one."""
         if not callable(function) or _is_of_torch(function):
             hint = "; a module of PyTorch is no function of JAX" if _is_of_torch(function) else ""
-            raise TypeError(f"{self.caller} was given {short(function)}{hint}; give a function H(x, params) of JAX")
+            raise TypeError(
+                f"{self.caller} was given {short(function)}{hint}; give a function {self.symbol}(x, params) of JAX"
+            )
         names = [one.name for one in parameters_of_function(function)]
         if names[:1] == ["params"] or len(names) not in self.counts:
             raise TypeError(
@@ -48,16 +51,22 @@ class ParametrizedEnergy:
         return [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("x", "t")[: len(names) - 1]]
 
     def __call__(self, x: Any, *time: Any) -> Any:
-        """Return the energy at the params given."""
+        """Return the value at the params given."""
         return self.at(self.params, x, *time)
 
     def at(self, params: Any, x: Any, *time: Any) -> Any:
-        """Return the energy at other params."""
+        """Return the value at other params."""
         return self.function(x, params, *time)
 
     def checked(self, params: Any) -> Any:
         """Return params of a call as arrays; raise an error if they have another structure or other shapes."""
         return params_like(self.params, params, f"as given to {self.caller}")
+
+
+class ParametrizedEnergy(ParametrizedFunction):
+    """An energy H(x), or H(x, t), with params."""
+
+    caller, symbol, of_jax = "co.jax.energy", "H", True
 
 
 class FeatureEnergy(ParametrizedEnergy):
@@ -90,13 +99,13 @@ class FeatureEnergy(ParametrizedEnergy):
 
 
 def read_params(params: Any, owner: str) -> Any:
-    """Return the parameters of an energy, a pytree, as arrays of float64; `owner` names them in messages."""
+    """Return parameters, a pytree, as arrays of float64; `owner` names them in messages."""
 
     def leaf(path: Any, one: Any) -> Any:
         if _is_of_torch(one) or not (is_real(one) or hasattr(one, "dtype")):
             raise TypeError(
                 f"{_name(path)} of {owner} is {short(one)}; parameters are arrays of JAX or NumPy, in lists, "
-                "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"
+                "dictionaries and the like: keep functions in the function itself, and convert tensors of PyTorch"
             )
         return doubles({_name(path): one})[_name(path)]
 
@@ -115,13 +124,25 @@ def params_like(known: Any, params: Any, source: str) -> Any:
     return found
 
 
-def energy_of(system: Any) -> ParametrizedEnergy | None:
-    """Return the energy of a system that has params, or None; raise TypeError for several of them."""
+def function_with_params(system: Any) -> ParametrizedFunction | None:
+    """Return an energy or the function of a force of a system that has params, or None; all must have the same."""
     functions = [function_of(term)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
-    found = [*{id(one): one for one in functions if isinstance(one, ParametrizedEnergy)}.values()]
-    if len(found) > 1:
-        raise TypeError(f"{system.name} has {len(found)} energies with params; write them as one function")
-    return found[0] if found else None
+    functions += [getattr(force, "learned", None) for one in system.distinct for force in one.forces]
+    first, *others = [one for one in functions if isinstance(one, ParametrizedFunction)] or [None]
+    for one in others:
+        if not _same(first.params, one.params):
+            raise TypeError(
+                f"{system.name} has energies and forces of different params, of {first.caller} and {one.caller}; give "
+                "all parameters of the run to each of them, in one pytree"
+            )
+    return first
+
+
+def _same(params: Any, others: Any) -> bool:
+    """Return whether params have the same structure and numbers."""
+    if jax.tree.structure(params) != jax.tree.structure(others):
+        return False
+    return all(map(np.array_equal, jax.tree.leaves(params), jax.tree.leaves(others)))
 
 
 def features_of(system: Any) -> tuple[FeatureEnergy | None, float]:

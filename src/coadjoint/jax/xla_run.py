@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energies import NAME, energy_of, features_of
+from coadjoint.jax.energies import NAME, features_of, function_with_params
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
@@ -51,7 +51,7 @@ class XlaRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        inputs, self._function = prepared.inputs, energy_of(prepared.system)
+        inputs, self._function = prepared.inputs, function_with_params(prepared.system)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -91,7 +91,8 @@ class XlaRun:
         function, rest = self._function, dict(parameters)
         if function is None and NAME in rest:
             raise ValueError(
-                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian"
+                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian, or "
+                "co.jax.torque(function, params) as a force"
             )
         params = None if function is None else function.checked(rest.pop(NAME, function.params))
         given = self._run.arguments(x0, attitude0, rest)
