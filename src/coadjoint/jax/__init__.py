@@ -329,8 +329,8 @@ def solution(
         and (times, members, n) for (members, n), as the solutions of `integrate`, where matrices have the axes (N, N)
         in place of n; for a run prepared with an attitude the pair of states and attitudes. The parameters are those of
         ``ready.parameters``, in their shapes, and default to these values; with inputs they are the inputs; of
-        `energy`, `features`, `torque` and `double_bracket` they are ``params``, one pytree for all. A system with other parameters is prepared in each call,
-        and the last one is cached; other inputs and params need no preparation.
+        `energy`, `features`, `torque` and `double_bracket` they are ``params``, one pytree for all. A system with other
+        parameters is prepared in each call, and the last one is cached; other inputs and params need no preparation.
 
     Raises
     ------

@@ -228,7 +228,9 @@ REFUSED = {
     "float32": (
         lambda: with_force(co.jax.torque(lambda x, p: x.astype("float32"), {})), TypeError, ["float32", "float64"]
     ),
-    "axis": (lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["gamma1", "direction"]),
+    "axis": (
+        lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["direction"]
+    ),
     "matrices": (lambda: with_force(co.jax.torque(lambda x, p: x, {}), matrices()), TypeError, ["co.jax.torque"]),
     "other params": (of_other_params, TypeError, ["co.jax.energy", "co.jax.torque", "one pytree"]),
 }  # fmt: skip
