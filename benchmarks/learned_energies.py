@@ -35,7 +35,7 @@ import coadjoint as co
 SPAN, STEP, LONGER = 1.0, 0.1, 10
 UNITS = 16
 """Hidden units of the energy."""
-SMALL = 1e-6
+SMALL = 1e-5
 """Factor of the parameters as residuals, which fixes those that move nothing."""
 EVALUATIONS = 25
 """Evaluations of a call of SciPy, after which the time is compared."""

@@ -1,4 +1,4 @@
-"""Draw the pictures of the README, except the turbulence: ``python docs/draw_readme.py [flip] [spins] [drift] [fit]``."""
+"""Draw the pictures of the README, except the turbulence: ``python docs/draw_readme.py [flip spins drift fit]``."""
 
 from __future__ import annotations
 
@@ -61,15 +61,17 @@ def fit() -> None:
     body = co.systems.rigid_body(values["inertia"]).with_forces(damping)
     sol = co.integrate(body, values["x0"], log.t_span, 0.05, co.Splitting(order=4), attitude=values["attitude0"])
     fitted = sol.rotation.as_quat()
-    fitted *= np.sign(np.sum(fitted[::10] * q, axis=1))[np.arange(len(fitted)) // 10][:, None]
+    fitted *= np.cumprod(np.append(1.0, np.sign(np.sum(fitted[1:] * fitted[:-1], axis=1))))[:, None]  # continuous
+    q *= np.sign(np.sum(fitted[::10] * q, axis=1))[:, None]
     for k, name in enumerate("xyzw"):
         axes.plot(log.t, q[:, k], f"C{k}o", ms=3)
         axes.plot(sol.t, fitted[:, k], f"C{k}", lw=1, label=f"$q_{name}$")
     one, _, three = values["inertia"]
     errors = [*found.standard_deviation("inertia"), *found.standard_deviation("LinearDamping.rate")]
     numbers = f"$I_1/I_2$ = {one / 2:.4f} ± {errors[0] / 2:.4f}, $I_3/I_2$ = {three / 2:.3f} ± {errors[1] / 2:.3f}"
-    axes.set(xlabel="t [s]", ylabel="quaternion", title=f"{numbers}, rate = {damping.rate:.4f} ± {errors[2]:.4f}/s")
-    axes.legend(ncol=4, loc="lower right")
+    axes.set(xlabel="t [s]", ylabel="quaternion")
+    axes.set_title(f"{numbers}, rate = {damping.rate:.4f} ± {errors[2]:.4f}/s", fontsize=10)
+    axes.legend(ncol=4, loc="lower left")
     store(figure, "fitted_log.png")
 
 
