@@ -1,8 +1,9 @@
-"""Draw the pictures of the README, except the turbulence: ``python docs/draw_readme.py [flip] [spins] [drift]``."""
+"""Draw the pictures of the README, except the turbulence: ``python docs/draw_readme.py [flip spins drift fit]``."""
 
 from __future__ import annotations
 
 import io
+import runpy
 import sys
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,29 @@ def drift() -> None:
     store(figure, "energy_error.png")
 
 
+def fit() -> None:
+    """Draw the log of the example of a fit, the fitted motion, and the fitted numbers with their errors."""
+    program = runpy.run_path(str(DOCS.parent / "examples" / "fit_a_log.py"))
+    log, found, figure = program["log"], program["found"], Figure(figsize=(6.4, 3.6), layout="constrained")
+    values, q, axes = found.values, log.rotation.as_quat(), figure.add_subplot()
+    damping = co.forces.LinearDamping(values["LinearDamping.rate"])
+    body = co.systems.rigid_body(values["inertia"]).with_forces(damping)
+    sol = co.integrate(body, values["x0"], log.t_span, 0.05, co.Splitting(order=4), attitude=values["attitude0"])
+    fitted = sol.rotation.as_quat()
+    fitted *= np.cumprod(np.append(1.0, np.sign(np.sum(fitted[1:] * fitted[:-1], axis=1))))[:, None]  # continuous
+    q *= np.sign(np.sum(fitted[::10] * q, axis=1))[:, None]
+    for k, name in enumerate("xyzw"):
+        axes.plot(log.t, q[:, k], f"C{k}o", ms=3)
+        axes.plot(sol.t, fitted[:, k], f"C{k}", lw=1, label=f"$q_{name}$")
+    one, _, three = values["inertia"]
+    errors = [*found.standard_deviation("inertia"), *found.standard_deviation("LinearDamping.rate")]
+    numbers = f"$I_1/I_2$ = {one / 2:.4f} ± {errors[0] / 2:.4f}, $I_3/I_2$ = {three / 2:.3f} ± {errors[1] / 2:.3f}"
+    axes.set(xlabel="t [s]", ylabel="quaternion")
+    axes.set_title(f"{numbers}, rate = {damping.rate:.4f} ± {errors[2]:.4f}/s", fontsize=10)
+    axes.legend(ncol=4, loc="lower left")
+    store(figure, "fitted_log.png")
+
+
 def store(figure: Figure, name: str) -> None:
     """Store a figure with few colors."""
     drawn = io.BytesIO()
@@ -59,5 +83,5 @@ def store(figure: Figure, name: str) -> None:
 
 
 if __name__ == "__main__":
-    for part in sys.argv[1:] or ("flip", "spins", "drift"):
-        {"flip": flip, "spins": spins, "drift": drift}[part]()
+    for part in sys.argv[1:] or ("flip", "spins", "drift", "fit"):
+        {"flip": flip, "spins": spins, "drift": drift, "fit": fit}[part]()

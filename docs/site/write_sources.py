@@ -37,6 +37,7 @@ MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 def write(folder: Path, explorer: Path | None) -> None:
     """Write all sources into a folder; pictures that are newer than the library are not drawn again."""
+    from page_notebooks import write_page_notebooks
     from paper_page import paper_page
     from picture_pages import draw_kinds, picture_pages
     from reference_pages import reference_pages
@@ -56,6 +57,7 @@ def write(folder: Path, explorer: Path | None) -> None:
     for path, text in pages.items():
         pages[path] = SYSTEMS.sub(lambda comment: "\n".join(thumbnails(comment[1], "systems/")), text)
     pages["checkcases.md"] = pages["checkcases.md"].replace(CASES, links_of_check_cases())
+    write_page_notebooks(folder, pages)
     for path, text in pages.items():
         write_if_changed(folder / path, with_explorer(text, path) if explorer else text)
     copy_explorer(explorer, folder / "extra")

@@ -197,8 +197,13 @@ def fit(
     >>> co.fit(guess, starts, (0, 10), measured, {"inertia": (0, 2), "x0": True}, sigma={"x": 0.01})
     <fit of inertia, x0: 8 unknowns, sum of squares of the residuals ...>
     """
-    if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
-        raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
+    for what, given in (("measured", measured), ("sigma", sigma)):
+        if not isinstance(given, Mapping) or not (given or what == "sigma"):
+            example = next(iter(measured), "x") if what == "sigma" else "x"
+            raise TypeError(
+                f"{what} is {short(given)}; give a mapping from names, such as {short(example)}, to "
+                f"{'numbers' if what == 'measured' else 'standard deviations'}"
+            )
     run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit")
     problem = FitProblem.of(ready, x0, attitude, run, unknown)
     measured = {name: _as_saved(name, value, ready, run.saved_times) for name, value in measured.items()}

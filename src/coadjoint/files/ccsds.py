@@ -169,7 +169,7 @@ def numbers_of(texts: Sequence[str], where: str) -> list[float]:
         except ValueError:
             number = float("nan")
         if not np.isfinite(number) or "_" in text:
-            raise ValueError(f"{where}: {short(text)} is no finite number")
+            raise ValueError(f"{where}: {short(text)} is no finite number; leave out rows without one")
         found.append(number)
     return found
 

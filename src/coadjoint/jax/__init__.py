@@ -12,19 +12,91 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.differentiable_run import REVERSES
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
+from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
 
-__all__ = ["PoissonMap", "energy", "features", "free_body", "solution"]
+__all__ = ["PoissonMap", "double_bracket", "energy", "features", "free_body", "solution", "torque"]
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from coadjoint.jax.poisson_map import PoissonMap
 
 BACKENDS = ("compiled", "xla")
+
+
+def double_bracket(root: Callable[..., Any], params: Any) -> Force:
+    """Return damping on the orbit with a metric of parameters, ``x' = J(x) P J(x) grad H`` with P = L L^T, as a force.
+
+    Use it to learn a dissipation that keeps every Casimir: whatever the parameters are, the metric is positive
+    semidefinite, so that the energy falls, and states stay on their coadjoint orbits to round-off. For a known metric
+    use `coadjoint.forces.DoubleBracketDamping`; for a friction that leaves the orbit, `torque`.
+
+    Parameters
+    ----------
+    root : callable
+        ``root(x, params)``, or ``root(x, params, t)``, of a state (n,), returns the root L of the metric by operations
+        of JAX: (n, k), or (n,) for a diagonal, or a number for a multiple of the unit matrix. Its square has the unit
+        of 1/(unit of the energy) where the invariant form of the algebra is the sum of squares; a learned rate is in
+        it.
+    params : pytree of arrays of float64
+        Parameters. If the energy or other forces have params too, all of them take the same ones: one pytree with all
+        parameters of the run, of which each function uses its own.
+
+    Returns
+    -------
+    Force
+        For ``system.with_forces``. Runs by `solution` take and differentiate ``params=``; compiled loops call the
+        function in Python, at the given parameters.
+
+    Raises
+    ------
+    ImportError
+        JAX is not installed; the extra is ``coadjoint[jax]``.
+    TypeError
+        As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
+    ValueError
+        On the system: the root has another shape, or axes, directions or positions would be changed.
+
+    Notes
+    -----
+    The flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric.
+
+    References
+    ----------
+    A. Bloch, P. S. Krishnaprasad, J. E. Marsden, T. S. Ratiu, The Euler-Poincare equations and double bracket
+    dissipation, Communications in Mathematical Physics 175 (1996).
+
+    See Also
+    --------
+    torque : Forces that leave the orbit.
+    coadjoint.forces.DoubleBracketDamping : Known metrics, in compiled loops.
+
+    Examples
+    --------
+    The derivative of the final energy by the root, and the momentum, whose length stays:
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import coadjoint as co
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> damping = co.jax.double_bracket(lambda x, params: params["root"], {"root": 0.2 * jnp.eye(3)})
+    >>> body = co.systems.rigid_body((1.0, 2.0, 3.0)).with_forces(damping)
+    >>> run = co.jax.solution(body, (0, 10), method=co.Splitting(order=4), step=0.1)
+    >>> x0 = jnp.array([1.0, 0.2, 0.5])
+    >>> def energy_at_end(params):
+    ...     return 0.5 * (run(x0, params=params)[-1] ** 2 / jnp.array([1.0, 2.0, 3.0])).sum()
+    >>> slope = jax.grad(energy_at_end)({"root": 0.2 * jnp.eye(3)})
+    >>> bool(jnp.trace(slope["root"]) < 0), bool(abs((run(x0)[-1] ** 2).sum() - 1.29) < 1e-13)
+    (True, True)
+    """
+    require_packages("co.jax.double_bracket", "jax")
+    from coadjoint.jax.learned_forces import JaxDoubleBracket
+
+    return JaxDoubleBracket(root, params)
 
 
 def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
@@ -246,7 +318,7 @@ def solution(
     method, step
         Scheme and step of a system; of a prepared run they are its own.
     backend : {"compiled", "xla"}, optional
-        Where runs are computed. None is ``"xla"`` for energies of `energy` and `features`, else ``"compiled"``.
+        Where runs are computed. None is ``"xla"`` for systems with params, else ``"compiled"``.
         ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX, on all devices, from the
         table of a splitting, by flows of features, or with at most 50 iterations in each step of `GaussLegendre`; with
         forces, batches, inputs of the energy, and attitudes by splittings; for fluids of matrices by
@@ -265,9 +337,9 @@ def solution(
         A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (times, n) for x0 of shape (n,)
         and (times, members, n) for (members, n), as the solutions of `integrate`, where matrices have the axes (N, N)
         in place of n; for a run prepared with an attitude the pair of states and attitudes. The parameters are those of
-        ``ready.parameters``, in their shapes, and default to these values; with inputs they are the inputs; of an
-        energy of `energy` or `features` they are ``params``. A system with other parameters is prepared in each call,
-        and the last one is cached; other inputs and params need no preparation.
+        ``ready.parameters``, in their shapes, and default to these values; with inputs they are the inputs; of
+        `energy`, `features`, `torque` and `double_bracket` they are ``params``, one pytree for all. A system with other
+        parameters is prepared in each call, and the last one is cached; other inputs and params need no preparation.
 
     Raises
     ------
@@ -326,7 +398,7 @@ def solution(
     from coadjoint.jax.xla_run import XlaRun
 
     ready = prepared_of(ready, method, step, "co.jax.solution")
-    learned = type(ready) is PreparedRun and energy_of(ready.system, JaxFunction) is not None
+    learned = type(ready) is PreparedRun and function_with_params(ready.system, JaxFunction) is not None
     compute: Callable[..., Any]
     on_xla = learned if backend is None else backend == "xla"
     if on_xla:
@@ -340,10 +412,75 @@ def solution(
             known = ready.parameters if ready.inputs is None else ready.inputs.indices
             raise not_by_position("the function of co.jax.solution", others, [NAME] if learned else known)
         if learned and NAME in parameters and not on_xla:
-            raise ValueError('params are taken by backend="xla" only; compiled loops have those given to co.jax.energy')
+            raise ValueError('params are taken by backend="xla" only; compiled loops have those of the system')
         return compute(x0, attitude0, parameters)
 
     return solution_of
+
+
+def torque(function: Callable[..., Any], params: Any) -> Force:
+    """Return a torque of parameters, ``x' = N(x, params)``, such as a neural network, as a force.
+
+    Use it to learn a friction, a drag or a drive beside a known or learned energy. For a law without parameters to
+    learn, or with named numbers, use `coadjoint.forces.Torque`, which is compiled; for a dissipation that keeps the
+    Casimirs, `double_bracket`.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(x, params)``, or ``function(x, params, t)``, of a state (n,), returns the contribution to x', (n,),
+        by operations of JAX. For bodies, such as `coadjoint.systems.body`, it may return the torque in the frame of the
+        body, (3,), or of k bodies, (k, 3).
+    params : pytree of arrays of float64
+        Parameters. If the energy or other forces have params too, all of them take the same ones: one pytree with all
+        parameters of the run, of which each function uses its own.
+
+    Returns
+    -------
+    Force
+        For ``system.with_forces``. Runs by `solution` take and differentiate ``params=``; compiled loops call the
+        function in Python, at the given parameters.
+
+    Raises
+    ------
+    ImportError
+        JAX is not installed; the extra is ``coadjoint[jax]``.
+    TypeError
+        As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
+    ValueError
+        On the system: the values have another shape, or axes, directions or positions would be changed.
+
+    Notes
+    -----
+    The flow is that of `coadjoint.forces.Torque`: a step of the Runge-Kutta method of order 4, in schemes of higher
+    order an extrapolated midpoint rule.
+
+    See Also
+    --------
+    energy : Energies with params.
+    double_bracket : Dissipation on the orbit.
+
+    Examples
+    --------
+    The derivative of a motion by the coefficients of a drag:
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import coadjoint as co
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> def drag(x, params):
+    ...     return -(params["linear"] + params["quadratic"] * jnp.linalg.norm(x)) * x
+    >>> params = {"linear": jnp.array(0.1), "quadratic": jnp.array(0.2)}
+    >>> body = co.systems.rigid_body((1.0, 2.0, 3.0)).with_forces(co.jax.torque(drag, params))
+    >>> run = co.jax.solution(body, (0, 10), method=co.Splitting(order=4), step=0.1)
+    >>> slope = jax.grad(lambda params: (run(jnp.ones(3), params=params)[-1] ** 2).sum())(params)
+    >>> bool(slope["linear"] < 0), bool(slope["quadratic"] < 0)
+    (True, True)
+    """
+    require_packages("co.jax.torque", "jax")
+    from coadjoint.jax.learned_forces import JaxTorque
+
+    return JaxTorque(function, params)
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other

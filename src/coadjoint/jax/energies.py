@@ -1,4 +1,4 @@
-"""Energies with parameters of JAX."""
+"""Energies with parameters of JAX, and what their forces share with them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from coadjoint.jax.primitives import doubles
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.parametrized_energy import ParametrizedEnergy, Trees, function_of
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedEnergy, Trees, function_of
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.validation import is_of_torch, is_real
 
@@ -24,15 +24,18 @@ class JaxTrees(Trees):
         if is_of_torch(value) or not (is_real(value) or hasattr(value, "dtype")):
             raise TypeError(
                 f"{name} of {owner} is {short(value)}; parameters are arrays of JAX or NumPy, in lists, "
-                "dictionaries and the like: keep functions in H, and convert tensors of PyTorch"
+                "dictionaries and the like: keep functions in the function itself, and convert tensors of PyTorch"
             )
         return doubles({name: value})[name]
+
+
+TREES = JaxTrees()
 
 
 class JaxEnergy(ParametrizedEnergy):
     """An energy of JAX."""
 
-    caller, trees = "co.jax.energy", JaxTrees()
+    caller, trees = "co.jax.energy", TREES
     of_jax = True
 
 

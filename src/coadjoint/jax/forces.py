@@ -13,8 +13,9 @@ from jax import lax
 from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
+from coadjoint.jax.learned_forces import LearnedFlow, LearnedFunction
 from coadjoint.jax.matrix_forces import MatrixForceReader
-from coadjoint.jax.stage_steps import StageField, Steps, fixed_point
+from coadjoint.jax.stage_steps import StageField, Steps, midpoint_on_orbit
 from coadjoint.jax.table_steps import product
 from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
 from coadjoint.kernels.tables.forces import compiled_force_function
@@ -95,7 +96,12 @@ class ForceReaders:
 
     def _traced(self, function: Any, arguments: str, behind: int = 0) -> TracedFunction:
         """Return a function of some arguments as one of the state, with those of a flow behind it, and the time."""
-        of_jax, what, n = on_jax(function, self.what), self.what, self.system.dim
+        what, n = self.what, self.system.dim
+        if isinstance(function, LearnedFunction):
+            traced = TracedFunction(lambda y, t, params: function.at(params, y, t), None, np.arange(n), what)
+            self.functions = (traced,)
+            return traced
+        of_jax = on_jax(function, what)
         forms: dict[str, Callable[[Any, Any], Any]] = {
             "t": lambda y, t: of_jax(t),
             "x": lambda y, t: of_jax(y),
@@ -109,7 +115,7 @@ class ForceReaders:
             return partial(compiled.values, results=n)
 
         traced = TracedFunction(
-            lambda y, t: jnp.reshape(forms[arguments](y, t), n), reference, np.arange(n), what, behind
+            lambda y, t, params=None: jnp.reshape(forms[arguments](y, t), n), reference, np.arange(n), what, behind
         )
         self.functions = (traced,)
         return traced
@@ -136,15 +142,15 @@ class ForceReaders:
         """Return the integral of a torque of the time by Gauss quadrature, or a step of an explicit method."""
         field = self._traced(torque, arguments).at
 
-        def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+        def of_time(numbers: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             pairs = zip(NODES, WEIGHTS, strict=True)
-            return x + 0.5 * tau * sum(w * field(x, t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
+            return x + 0.5 * tau * sum(w * field(x, t + 0.5 * tau * (1.0 + c), numbers.params) for c, w in pairs)
 
-        def of_state(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+        def of_state(numbers: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             def stage(state: Any, node: Any) -> Any:
                 slope, total = state
                 c, weight = node
-                slope = field(x + c * tau * slope, t + c * tau)
+                slope = field(x + c * tau * slope, t + c * tau, numbers.params)
                 return (slope, total + weight * slope), None
 
             nodes = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
@@ -153,13 +159,13 @@ class ForceReaders:
 
         columns = extrapolation_columns(self.order)
 
-        def extrapolated(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
-            first, change = field(x, t), jnp.zeros_like(x)
+        def extrapolated(numbers: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            first, change = field(x, t, numbers.params), jnp.zeros_like(x)
             for k, weight in enumerate(extrapolation_weights(columns), 1):
 
                 def midpoint(states: Any, node: Any, length: Any = tau / (2 * k)) -> Any:
                     before, now = states
-                    return (now, before + 2.0 * length * field(x + now, t + node * tau)), None
+                    return (now, before + 2.0 * length * field(x + now, t + node * tau, numbers.params)), None
 
                 nodes = jnp.arange(1, 2 * k) / (2 * k)
                 start = jnp.zeros_like(x), tau / (2 * k) * first
@@ -172,6 +178,9 @@ class ForceReaders:
 
     def flow(self, function: Any, noises: Sequence[SampleNoise] = ()) -> Flow:
         """Return a given flow, also of the deviates of laws that measure with noise."""
+        if isinstance(function, LearnedFlow):
+            self.functions = self.field.functions
+            return function.on_jax(self.field)
         if not noises:
             traced = self._traced(function, "x, t, tau", 1).at
             return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
@@ -257,8 +266,7 @@ class ForceReaders:
                 v = tau * shorter * _applied(metric, self.field.product(middle, slopes))
                 return v if spins is None else v + tau * spins.added * slopes
 
-            middle = fixed_point(lambda middle: self.field.exponential(0.5 * rotation(middle), x), x, jnp.abs(x))
-            return self.field.exponential(rotation(middle), x)
+            return midpoint_on_orbit(self.field, rotation, x)
 
         if noise is None:
             return lambda energy, x, t, tau, member: damped(energy, x, t, tau)

@@ -244,6 +244,12 @@ class StageField(CoadjointAction):
         return slopes
 
 
+def midpoint_on_orbit(action: CoadjointAction, direction: Callable[[Any], Any], x: Any) -> Any:
+    """Return exp(D_v) x with v = direction(y) at the midpoint y = exp(D_v / 2) x."""
+    middle = fixed_point(lambda middle: action.exponential(0.5 * direction(middle), x), x, jnp.abs(x))
+    return action.exponential(direction(middle), x)
+
+
 def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
     """Return the steps of an implicit Runge-Kutta method; the constants are the numbers of the energy."""
 

@@ -19,7 +19,7 @@ from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
-from coadjoint.systems.hamiltonians.parametrized_energy import ParametrizedEnergy, function_of
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedEnergy, function_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import first_difference

@@ -36,7 +36,12 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import with_group
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
-from coadjoint.systems.hamiltonians.parametrized_energy import NAME, ParametrizedEnergy, energy_of, function_of
+from coadjoint.systems.hamiltonians.parametrized_functions import (
+    NAME,
+    ParametrizedEnergy,
+    function_of,
+    function_with_params,
+)
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
@@ -61,7 +66,7 @@ class XlaRun:
         # Where it `undoes`, reverse mode takes the steps back from the saved states, without storing others.
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        inputs, self._function = prepared.inputs, energy_of(prepared.system, JaxFunction)
+        inputs, self._function = prepared.inputs, function_with_params(prepared.system, JaxFunction)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -97,11 +102,10 @@ class XlaRun:
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
         self._moments = times.at(np.arange(times.steps + 1)) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
-        terms = first.hamiltonian.terms() if self._function is not None else ()
-        learned = [
-            gradient_of(term) for term in terms if isinstance(function_of(term, JaxFunction)[0], ParametrizedEnergy)
-        ]
-        self._derivatives = jax.jit(partial(_derivatives_at, learned, self._t0))
+        pairs = [(function_of(term, JaxFunction)[0], term) for term in first.hamiltonian.terms()]
+        learned = [(function, term) for function, term in pairs if isinstance(function, ParametrizedEnergy)]
+        self._learned = learned[0][0] if learned else None
+        self._derivatives = jax.jit(partial(_derivatives_at, [gradient_of(term) for _, term in learned], self._t0))
         self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -109,7 +113,8 @@ class XlaRun:
         function, rest = self._function, dict(parameters)
         if function is None and NAME in rest:
             raise ValueError(
-                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian"
+                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian, or "
+                "co.jax.torque(function, params) as a force"
             )
         params = None if function is None else function.checked(rest.pop(NAME, function.params))
         given = self._run.arguments(x0, attitude0, rest)
@@ -145,12 +150,12 @@ class XlaRun:
     def _check_differentiable(self, start: Any, params: Any) -> None:
         """Raise ValueError if an energy with params has no first or second derivatives at an initial state."""
         params = jax.tree.map(lax.stop_gradient, params)
-        if self._function is None or any(isinstance(one, jax.core.Tracer) for one in jax.tree.leaves(params)):
+        if self._learned is None or any(isinstance(one, jax.core.Tracer) for one in jax.tree.leaves(params)):
             return
         rows = start.reshape(-1, start.shape[-1])
         with jax.ensure_compile_time_eval():
             derivatives = [np.asarray(one) for one in self._derivatives(rows, params)]
-        self._function.check_differentiable(start, derivatives)
+        self._learned.check_differentiable(start, derivatives)
 
     def _checked_attitude(self, attitude: Any) -> Any:
         """Return an attitude that is checked on the host when the traced program runs."""

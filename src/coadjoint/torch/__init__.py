@@ -12,7 +12,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.hamiltonians.parametrized_energy import NAME, energy_of
+from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
 from coadjoint.systems.system import System
 
 __all__ = ["energy", "solution"]
@@ -156,7 +156,7 @@ def solution(
     from coadjoint.torch.stage_runs import StageRun
 
     ready = prepared_of(ready, method, step, "co.torch.solution")
-    learned = type(ready) is PreparedRun and energy_of(ready.system, TorchFunction) is not None
+    learned = type(ready) is PreparedRun and function_with_params(ready.system, TorchFunction) is not None
     compute: Callable[..., Any]
     if learned:
         compute = StageRun(ready, t_span, save_every, t_eval)

@@ -13,7 +13,7 @@ import torch
 from torch.utils import _pytree
 
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.parametrized_energy import ParametrizedEnergy, Trees
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedEnergy, Trees
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.user_functions import parameters_of_function
 from coadjoint.validation import to_array

@@ -17,7 +17,12 @@ from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.systems.hamiltonians.parametrized_energy import NAME, ParametrizedEnergy, energy_of, function_of
+from coadjoint.systems.hamiltonians.parametrized_functions import (
+    NAME,
+    ParametrizedEnergy,
+    function_of,
+    function_with_params,
+)
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 from coadjoint.torch.energies import TorchFunction, double
@@ -118,7 +123,7 @@ class StageRun:
             )
         if not (isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit"):
             raise TypeError(f"{CALLER} takes GaussLegendre for energies with params, not {prepared.method}")
-        self._prepared, self._function = prepared, energy_of(system, TorchFunction)
+        self._prepared, self._function = prepared, function_with_params(system, TorchFunction)
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
         tableau, self._unit = scheme.coefficients(), unit_coordinate(system)
         # Made here, since functions of fixed points may not contain tensors that transformations of PyTorch wrap.

@@ -3,11 +3,13 @@
 import csv
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from page_notebooks import PLACE, page_cells, write_page_notebooks
 from paper_page import FIGURES, paper_page
 from picture_pages import picture_code, picture_pages
 from system_pages import code
@@ -106,3 +108,18 @@ def test_statements_of_the_paper_are_under_their_verdicts_and_figures(tmp_path):
     expected = {"Figure 3": ["d"], "Figure 4": ["b"], "Figure 5": ["b"]}
     assert {title: keys for title, keys in shown.items() if keys} == expected
     assert "**Holds with a limit**: \\|b\\| = 1." in sections["Figure 4"]
+
+
+def test_a_page_that_asks_for_it_is_a_notebook_of_its_text_and_code(tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "learn.md").read_text(encoding="utf-8")
+    cells = page_cells(page)
+    sources = [source for kind, source in cells if kind == "code"]
+    assert page.count("```python") == len(sources) and cells[0][1].startswith("# Learn")
+    assert sum(source.count("\n") + 1 for source in sources) == len(re.findall(r"^(?:>>>|\.\.\.) ", page, re.MULTILINE))
+    for source in sources:
+        compile(source, "learn", "exec")
+    assert not any(">>>" in source or "```python" in source or PLACE in source for _, source in cells)
+    pages = {"learn.md": page, "other.md": "# Other\n"}
+    write_page_notebooks(tmp_path, pages)
+    assert [path.name for path in tmp_path.iterdir()] == ["learn.ipynb"]
+    assert "<learn.ipynb>" in pages["learn.md"] and PLACE not in pages["learn.md"]

@@ -335,7 +335,7 @@ LEARNED = {
     "depth": (lambda: co.jax.PoissonMap(get("so(3)"), 0), ValueError, ["depth", "0"]),
     "widths": (lambda: co.jax.PoissonMap(get("so(3)"), 2, 16), TypeError, ["widths", "16"]),
     "algebra": (lambda: co.jax.PoissonMap(SYSTEM, 2), TypeError, ["algebra", "LieAlgebra"]),
-    "two": (lambda: two(), TypeError, ["2 energies", "one function"]),
+    "two": (lambda: two(), TypeError, ["different params", "one pytree"]),
     "no step": (lambda: co.jax.solution(SYSTEM, (0, 1)), TypeError, ["step="]),
     "own step": (lambda: co.jax.solution(ready(), (0, 1), step=0.1), TypeError, ["prepared run", "omit"]),
     "backend": (lambda: run_of(backend="compiled")(np.ones(3), params=weights(3)), ValueError, ['backend="xla"']),
@@ -381,7 +381,7 @@ def bound(H):
 
 
 def two():
-    pieces = [((k,), co.jax.energy(network, weights(1))) for k in range(2)]
+    pieces = [((k,), co.jax.energy(network, weights(1, seed=k))) for k in range(2)]
     return co.jax.solution(bound(co.SplitHamiltonian(pieces)), (0, 1), method=co.Splitting(), step=0.1)
 
 

@@ -14,6 +14,7 @@ EXAMPLES = Path(__file__).parents[3] / "examples"
     "name",
     [
         "earth_and_moon",
+        "fit_a_log",
         "kalman_filter",
         "own_energy",
         "relative_equilibria",

@@ -12,7 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction, KernelFunction, compiled_function
+from coadjoint.kernels.functions.compiled_functions import (
+    CompiledFunction,
+    KernelFunction,
+    compiled_function,
+    python_callback,
+)
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop, loop_over
@@ -37,6 +42,7 @@ from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
 from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows
 from coadjoint.systems.system_stacks import SystemStack, different
+from coadjoint.systems.user_functions import is_called_in_python
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -297,7 +303,12 @@ class _ForceTableBuilder:
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         self.called = function
-        if self._compiles and self._beside:
+        if self._compiles and is_called_in_python(function):
+            if self._beside:
+                raise TypeError(f"{what} is called in Python, without tangents")
+            adapted = _adapted_arguments(function, arguments, self.n, self._shape)
+            self.keepalive = (python_callback(adapted, size, self.n),)
+        elif self._compiles and self._beside:
             beside, size = _with_vector(function, arguments, self.n), size + self.n
             self.keepalive = (
                 compiled_function(beside, size, 2 * self.n, scalar=False, flat=True, timed=True, what=what),

@@ -146,10 +146,11 @@ class ParametrizedRun:
         arguments: dict[str, Any] = dict(zip(("t_span", "save_every", "t_eval"), self._times, strict=True))
         if prepared.inputs is not None:
             arguments |= {name: given[name] for name in given if name in self._shapes}
-        terms = (term for one in system.distinct for term in one.hamiltonian.terms() if term.called)
+        called = [term.gradient for one in system.distinct for term in one.hamiltonian.terms() if term.called]
+        called += [force for one in system.distinct for force in one.forces]
         if system.shape[-1] > CHECKED_ROWS and len(system.shape) > 1:
             return
-        is_slow = len(system.shape) > 1 or any(is_called_in_python(term.gradient) for term in terms)
+        is_slow = len(system.shape) > 1 or any(map(is_called_in_python, called))
         if times.steps > CHECKED_CALLS and is_slow:
             arguments |= {"t_span": (times.t0, times.t0 + CHECKED_CALLS * times.h), "save_every": 1, "t_eval": None}
         try:

@@ -1,4 +1,4 @@
-"""Energies of the state and of parameters that a run takes as an argument, such as the weights of a network."""
+"""Functions of the state and of parameters that a run takes as an argument, such as the weights of a network."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from coadjoint.systems.user_functions import parameters_of_function, without_mul
 from coadjoint.validation import is_of_torch
 
 NAME = "params"
-"""The argument of a run with the parameters of its energy."""
+"""The argument of a run with the parameters of its energy and forces."""
 
 
 class Trees(ABC):
@@ -45,14 +45,21 @@ class Trees(ABC):
                 )
         return found
 
+    def are_same(self, params: Any, others: Any) -> bool:
+        """Return whether params have the same structure and numbers."""
+        if self.module.tree_structure(params) != self.module.tree_structure(others):
+            return False
+        return all(map(np.array_equal, self.module.tree_leaves(params), self.module.tree_leaves(others)))
+
     def name(self, path: Any) -> str:
         return NAME + str(self.module.keystr(path))
 
 
-class ParametrizedEnergy:
-    """The energy H(x) = function(x, params), or of (x, t), at the params given, which are arrays of float64."""
+class ParametrizedFunction:
+    """The function of x, or of (x, t), at the params given, which are arrays of float64; `symbol` names it."""
 
     caller: ClassVar[str]
+    symbol: ClassVar[str]
     trees: ClassVar[Trees]
     counts: tuple[int, ...] = (2, 3)
     taken = "(x, params) or (x, params, t)"
@@ -64,12 +71,13 @@ class ParametrizedEnergy:
         self.__name__ = getattr(function, "__name__", type(function).__name__)
 
     def _arguments(self, function: Any) -> list[inspect.Parameter]:
-        """Return the arguments of the energy: those of the function without params, which are the second one."""
+        """Return the arguments at fixed params, which are the second one of the function."""
         library = self.trees.library
         if not callable(function) or is_of_torch(function):
             hint = "; a module of PyTorch is no function of JAX" if is_of_torch(function) else ""
             raise TypeError(
-                f"{self.caller} was given {short(function)}{hint}; give a function H(x, params) of {library}"
+                f"{self.caller} was given {short(function)}{hint}; give a function {self.symbol}(x, params) of "
+                f"{library}"
             )
         names = [one.name for one in parameters_of_function(function)]
         if names[:1] == ["params"] or len(names) not in self.counts:
@@ -80,16 +88,22 @@ class ParametrizedEnergy:
         return [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("x", "t")[: len(names) - 1]]
 
     def __call__(self, x: Any, *time: Any) -> Any:
-        """Return the energy at the params given."""
+        """Return the value at the params given."""
         return self.at(self.params, x, *time)
 
     def at(self, params: Any, x: Any, *time: Any) -> Any:
-        """Return the energy at other params."""
+        """Return the value at other params."""
         return self.function(x, params, *time)
 
     def checked(self, params: Any) -> Any:
         """Return params of a call as arrays; raise an error if they have another structure or other shapes."""
         return self.trees.read_like(self.params, params, f"as given to {self.caller}")
+
+
+class ParametrizedEnergy(ParametrizedFunction):
+    """An energy H(x), or H(x, t), with params."""
+
+    symbol = "H"
 
     def check_differentiable(self, start: Any, derivatives: Any) -> None:
         """Raise ValueError for derivatives, first and second ones by member, that are not finite at initial states."""
@@ -112,10 +126,15 @@ def function_of(term: Any, kind: type[Any]) -> tuple[Any, float]:
     return function, math.prod(float(one.factor) for one in (*inner, *outer))
 
 
-def energy_of(system: Any, kind: type[Any]) -> Any:
-    """Return the energy of a system that has params, or None; raise TypeError for several of them."""
+def function_with_params(system: Any, kind: type[Any]) -> Any:
+    """Return the energy or the function of a force of a system that has params, or None; all must have the same."""
     functions = [function_of(term, kind)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
-    found = [*{id(one): one for one in functions if isinstance(one, ParametrizedEnergy)}.values()]
-    if len(found) > 1:
-        raise TypeError(f"{system.name} has {len(found)} energies with params; write them as one function")
-    return found[0] if found else None
+    functions += [getattr(force, "learned", None) for one in system.distinct for force in one.forces]
+    first, *others = [one for one in functions if isinstance(one, ParametrizedFunction)] or [None]
+    for one in others:
+        if one.trees is not first.trees or not first.trees.are_same(first.params, one.params):
+            raise TypeError(
+                f"{system.name} has energies and forces of different params, of {first.caller} and {one.caller}; give "
+                "all parameters of the run to each of them, in one tree"
+            )
+    return first

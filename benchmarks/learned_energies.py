@@ -1,0 +1,311 @@
+"""Three learned motions: by regression, by a network as energy, by a neural ODE, and by a Lie-Poisson network.
+
+The motions are those of a generalized body on SO(3), of Kirchhoff's body in a fluid on SE(3), and of three vehicles
+under optimal control on SE(2)^3. If H is a polynomial, `co.identify` finds it. If not, three models learn the same
+samples in the same processor time by the same least squares (SciPy's "lm", restarted until the time is over):
+
+- energy: a quadratic form and one hidden layer, as `co.jax.energy`, from the equations of the motion in integral form;
+- neural ODE: x' = one hidden layer, in the same form, run by RK4;
+- LPNet: a map of one step, composed of coadjoint motions about the axes of the algebra by learned angles (2308.15349).
+
+Rows have the mean square of runs from the initial states of the samples over their times, the error of H (root mean
+square, and largest, in the range of the samples) after what Casimirs may add, the largest errors of states and
+Casimirs in a run ten times longer, from initial states that were not learned.
+
+python benchmarks/learned_energies.py [--seconds S] [--only NAME]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import solve_triangular
+from scipy.optimize import least_squares
+
+import coadjoint as co
+
+SPAN, STEP, LONGER = 1.0, 0.1, 10
+UNITS = 16
+"""Hidden units of the energy."""
+SMALL = 1e-5
+"""Factor of the parameters as residuals, which fixes those that move nothing."""
+EVALUATIONS = 25
+"""Evaluations of a call of SciPy, after which the time is compared."""
+
+
+def sphere(rng: Any, *shape: int) -> Any:
+    """Return unit vectors."""
+    p = rng.standard_normal(shape)
+    return p / np.linalg.norm(p, axis=-1, keepdims=True)
+
+
+def body_states(rng: Any, count: int) -> Any:
+    """Return momenta of unit length."""
+    return sphere(rng, count, 3)
+
+
+def kirchhoff_states(rng: Any, count: int) -> Any:
+    """Return angular momenta in a cube, and linear momenta of unit length."""
+    return np.append(rng.uniform(-1, 1, (count, 3)), sphere(rng, count, 3), axis=1)
+
+
+def vehicle_states(rng: Any, count: int) -> Any:
+    """Return the angular momentum of each vehicle, and its linear momentum of unit length."""
+    each = np.append(rng.uniform(-1, 1, (count, 3, 1)), sphere(rng, count, 3, 2), axis=2)
+    return each.reshape(count, 9)
+
+
+class Problem(NamedTuple):
+    """An algebra with two energies as text, initial states, and the number of trajectories."""
+
+    algebra: Any
+    polynomial: str
+    energy: str
+    states: Callable[[Any, int], Any]
+    members: int
+
+
+QUADRATIC = "x1^2/2 + x2^2/4 + x3^2/5 + x1*x4/10 + x2*x5/8 + x4^2/2 + x5^2/3 + x6^2/4"
+SPEEDS, COUPLING = "x2 + x5 + x8", "x1*x4/4 + x4*x7/4"
+PROBLEMS = {
+    "body on SO(3)": Problem(
+        co.algebras.so(3),
+        "x1^2/2 + x2^2/4 + x3^2/6 + x1*x2/5 + x3/4 + x1^4/8 + x2^2*x3^2/8",
+        "x1^2/2 + x2^2/4 + cos(2*x3)/4 + exp(x1*x3)/8",
+        body_states,
+        40,
+    ),
+    "Kirchhoff's body on SE(3)": Problem(
+        co.algebras.e(3), QUADRATIC, f"{QUADRATIC} + exp(x4)/4 + cos(2*x6)/8", kirchhoff_states, 100
+    ),
+    "three vehicles on SE(2)^3": Problem(
+        co.algebras.copies(co.algebras.e(2), 3),
+        f"{SPEEDS} + x1^2/2 + x4^2/2 + x7^2/2 + {COUPLING}",
+        f"{SPEEDS} + sqrt(1 + x1^2) + sqrt(1 + x4^2) + sqrt(1 + x7^2) + {COUPLING}",
+        vehicle_states,
+        100,
+    ),
+}
+
+
+def integrals(count: int) -> Any:
+    """Return the integrals from the first of equidistant samples to each other one, of the polynomial through all."""
+    z = np.linspace(-1.0, 1.0, count)
+    legendre = np.polynomial.legendre
+    of_basis = [legendre.legval(z, legendre.legint(one, lbnd=-1)) for one in np.eye(count)]
+    return 0.5 * SPAN * np.stack(of_basis, 1)[1:] @ np.linalg.inv(legendre.legvander(z, count - 1))
+
+
+def fitted(residuals: Callable[[Any], Any], start: Any, linear: tuple[str, ...], seconds: float) -> Any:
+    """Return the parameters of least squares after a processor time.
+
+    Those in which residuals are `linear` are solved for at each value of the others (variable projection).
+    """
+    solved, unravel_solved = ravel_pytree({name: start[name] for name in linear})
+    flat, unravel = ravel_pytree({name: start[name] for name in start if name not in linear})
+
+    def at(v: Any, c: Any) -> Any:
+        return jnp.append(residuals(unravel(v) | unravel_solved(c)).ravel(), SMALL * c)
+
+    def solution(v: Any) -> tuple[Any, Any, Any]:
+        Q, R = jnp.linalg.qr(jax.jacfwd(at, 1)(v, jnp.zeros(len(solved))))
+        c = -solve_triangular(R, Q.T @ at(v, jnp.zeros(len(solved))))
+        return Q, c, jnp.append(at(v, c), SMALL * v)
+
+    def slopes(v: Any) -> Any:
+        Q, c, _ = solution(v)
+        J = jax.jacfwd(at)(v, c)
+        return jnp.concatenate([J - Q @ (Q.T @ J), SMALL * jnp.eye(len(v))])
+
+    function, jacobian, v = jax.jit(lambda v: solution(v)[2]), jax.jit(slopes), np.array(flat)
+    began, options = time.process_time(), {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15, "max_nfev": EVALUATIONS}
+    while time.process_time() - began < seconds:
+        end = least_squares(
+            lambda v: np.asarray(function(v)), v, lambda v: np.asarray(jacobian(v)), method="lm", **options
+        )
+        if np.array_equal(end.x, v):
+            break
+        v = end.x
+    return unravel(v) | unravel_solved(solution(v)[1])
+
+
+def field_residuals(field: Callable[[Any, Any], Any], data: Any) -> Callable[[Any], Any]:
+    """Return the residuals of the equations of a motion in integral form, as a function of parameters."""
+    weights, moved = integrals(len(data)), (data - data[0])[1:]
+
+    def residuals(w: Any) -> Any:
+        fields = jax.vmap(jax.vmap(lambda x: field(x, w)))(data)
+        return jnp.einsum("kt,tmi->kmi", weights, fields) - moved
+
+    return residuals
+
+
+def learned_energy(problem: Problem, data: Any, rng: Any, seconds: float) -> tuple[Any, Any]:
+    """Return a function of x0 and the number of steps that returns states, and the learned energy."""
+    n = problem.algebra.dim
+    rows, columns = np.triu_indices(n)
+    J = -jnp.asarray([problem.algebra.structure_matrix(e) for e in np.eye(n)])
+
+    def energy(x: Any, w: Any) -> Any:
+        return w["out"] @ jnp.tanh(w["in"] @ x + w["shift"]) + w["linear"] @ x + w["form"] @ (x[rows] * x[columns])
+
+    start = {
+        "in": 0.7 * rng.standard_normal((UNITS, n)),
+        "linear": np.zeros(n),
+        "form": np.zeros(len(rows)),
+    }
+    count = len(start["in"])
+    start |= {"shift": rng.uniform(-1, 1, count), "out": 0.1 * rng.standard_normal(count)}
+    residuals = field_residuals(lambda x, w: jnp.einsum("kij,k,j->i", J, x, jax.grad(energy)(x, w)), data)
+    w = fitted(residuals, start, ("out", "linear", "form"), seconds)
+    system = co.LiePoissonSystem(problem.algebra, co.jax.energy(energy, w), sign=-1)
+
+    def run(x0: Any, steps: int) -> Any:
+        return co.jax.solution(system, (0.0, steps * STEP), method=co.GaussLegendre(3), step=STEP)(x0)
+
+    return run, lambda x: np.asarray(jax.vmap(lambda x: energy(x, w))(x))
+
+
+def neural_ode(problem: Problem, data: Any, rng: Any, seconds: float) -> tuple[Any, None]:
+    """Return the same of a neural ODE, by RK4 with four substeps."""
+    n, width, substeps = problem.algebra.dim, 24, 4
+
+    def field(x: Any, w: Any) -> Any:
+        return w["out"] @ jnp.tanh(w["in"] @ x + w["shift"]) + w["linear"] @ x
+
+    start = {
+        "in": 0.7 * rng.standard_normal((width, n)),
+        "shift": rng.uniform(-1, 1, width),
+        "out": 0.1 * rng.standard_normal((n, width)),
+        "linear": np.zeros((n, n)),
+    }
+    w, h = fitted(field_residuals(field, data), start, ("out", "linear"), seconds), STEP / substeps
+
+    def step(x: Any, _: Any) -> Any:
+        for _ in range(substeps):
+            k1 = field(x, w)
+            k2 = field(x + 0.5 * h * k1, w)
+            k3 = field(x + 0.5 * h * k2, w)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + field(x + h * k3, w))
+        return x, x
+
+    return of_steps(step), None
+
+
+def lie_poisson_network(problem: Problem, data: Any, rng: Any, seconds: float) -> tuple[Any, None]:
+    """Return the same of a composition of coadjoint motions by angles that are functions of the fixed coordinate."""
+    n, sweeps, units = problem.algebra.dim, 3, 4
+    D = -np.array([problem.algebra.coadjoint(e) for e in np.eye(n)], dtype=np.float64)
+    turns = np.array([np.any(one @ one) for one in D])  # D^3 = -D, otherwise D^2 = 0
+    axes = np.tile(np.arange(n), sweeps)
+
+    def layer(x: Any, given: Any) -> Any:
+        axis, w = given
+        angle = w["size"] @ jnp.tanh(w["slope"] * x[axis] + w["shift"]) + w["linear"] * x[axis]
+        once = jnp.asarray(D)[axis] @ x
+        moved = jnp.where(jnp.asarray(turns)[axis], jnp.sin(angle), angle) * once
+        return x + moved + 2.0 * jnp.sin(0.5 * angle) ** 2 * (jnp.asarray(D)[axis] @ once), None
+
+    def step(x: Any, w: Any) -> Any:
+        return lax.scan(layer, x, (axes, w))[0]
+
+    start = {name: rng.uniform(-1, 1, (n * sweeps, units)) for name in ("slope", "shift")}
+    start |= {"size": 0.01 * rng.standard_normal((n * sweeps, units)), "linear": np.zeros(n * sweeps)}
+    before, after = data[:-1].reshape(-1, n), data[1:].reshape(-1, n)
+    w = fitted(lambda w: jax.vmap(lambda x: step(x, w))(before) - after, start, (), seconds)
+
+    def one(x: Any, _: Any) -> Any:
+        moved = step(x, w)
+        return moved, moved
+
+    return of_steps(one), None
+
+
+def of_steps(step: Any) -> Callable[[Any, int], Any]:
+    """Return the states (steps + 1, members, n) of a step of one state."""
+
+    def run(x0: Any, steps: int) -> Any:
+        x0 = jnp.asarray(x0)
+        states = jax.vmap(lambda x: lax.scan(step, x, None, length=steps)[1], out_axes=1)(x0)
+        return jnp.concatenate([x0[None], states])
+
+    return run
+
+
+MODELS = {"energy": learned_energy, "neural ODE": neural_ode, "LPNet": lie_poisson_network}
+
+
+def regression(problem: Problem, rng: Any) -> str:
+    """Return the time, and the errors, of the polynomial by `co.identify`."""
+    truth = co.LiePoissonSystem(problem.algebra, problem.polynomial, sign=-1)
+    degree = max(map(sum, truth.hamiltonian.to_polynomial().monomials))
+    sol = co.integrate(truth, problem.states(rng, 12), (0, 5), 0.05, co.GaussLegendre(4))
+    began = time.process_time()
+    found = co.identify(problem.algebra, sol.t, sol.x, degree=degree, sign=-1)
+    seconds = time.process_time() - began
+    coefficients = np.array([found.hamiltonian.monomials.get(tuple(e), 0.0) for e in found.exponents])
+    error = np.abs(coefficients - found.coefficients_of(truth.hamiltonian.to_polynomial())).max()
+    return f"regression: {seconds:.2f} s, error of the coefficients {error:.1e}, of a run {found.run_error:.1e}"
+
+
+def on_orbits(problem: Problem, states: Any, rng: Any) -> Any:
+    """Return points (motions, members, n) on the orbits of states: linear energies turn momenta, as in the samples."""
+    n, points = problem.algebra.dim, []
+    moving = np.array([np.any(D @ D) for D in map(problem.algebra.coadjoint, np.eye(n))])
+    for _ in range(12):
+        slopes = np.where(moving, rng.uniform(-1.5, 1.5, n), 0.0)
+        linear = co.Polynomial({tuple(map(int, e)): a for e, a in zip(np.eye(n), slopes, strict=True) if a})
+        turned = co.LiePoissonSystem(problem.algebra, linear, sign=-1)
+        points.append(co.integrate(turned, states, (0, 1), 0.125, co.GaussLegendre(4)).x[-1])
+    return np.array(points)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--only", default="")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    for name, problem in PROBLEMS.items():
+        if arguments.only not in name:
+            continue
+        rng = np.random.default_rng(5)
+        print(f"{name}\n{regression(problem, rng)}")
+        truth = co.LiePoissonSystem(problem.algebra, problem.energy, sign=-1)
+        data = co.integrate(truth, problem.states(rng, problem.members), (0, SPAN), STEP, co.GaussLegendre(4)).x
+        fresh = problem.states(rng, 20)
+        exact = co.integrate(truth, fresh, (0, LONGER * SPAN), STEP, co.GaussLegendre(5)).x
+        points = on_orbits(problem, problem.states(rng, 60), rng)
+        energies = np.array([[truth.energy(x) for x in one] for one in points])
+        print(f"{len(data)} times, {problem.members} trajectories; {arguments.seconds:.0f} s of processor time each\n")
+        print(f"{'':12}{'seconds':>9}{'loss':>10}{'ratio':>10}{'H':>10}{'largest':>10}{'rollout':>10}{'Casimirs':>10}")
+        losses: list[float] = []
+        for model, learn in MODELS.items():
+            began = time.process_time()
+            run, energy = learn(problem, data, np.random.default_rng(1), arguments.seconds)
+            seconds = time.process_time() - began
+            losses.append(float(np.mean((np.asarray(run(data[0], len(data) - 1)) - data) ** 2)))
+            x = np.asarray(run(fresh, len(exact) - 1))
+            casimirs = np.max([np.abs(C(x) - C(fresh)).max() for C in truth.casimirs.values()])
+            errors = ["", ""]
+            if energy is not None:
+                difference = np.array([energy(one) for one in points]) - energies
+                difference -= difference.mean(axis=0)
+                errors = [f"{np.sqrt(np.mean(difference**2)):.1e}", f"{np.abs(difference).max():.1e}"]
+            row = f"{model:12}{seconds:9.1f}{losses[-1]:10.1e}{losses[-1] / losses[0]:10.1e}"
+            rollout = np.abs(x - exact).max()
+            print(f"{row}{errors[0]:>10}{errors[1]:>10}{rollout:10.1e}{casimirs:10.1e}", flush=True)
+        print()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Forces with parameters that a run takes as an argument: torques, and damping on the orbit by a learned metric."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError, in_one_line
+from coadjoint.jax.energies import TREES
+from coadjoint.jax.stage_steps import StageField, midpoint_on_orbit
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.orbit_flow import exponential, midpoint
+from coadjoint.systems.forces.torque import StateTorque, is_on_bodies, places_of_torques, shapes_on
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedFunction
+from coadjoint.systems.hamiltonians.user_hamiltonian import X64
+
+
+class ParametrizedTorque(ParametrizedFunction):
+    """A torque N(x), or N(x, t), with params."""
+
+    trees = TREES
+    caller, symbol, what = "co.jax.torque", "N", "the torque"
+
+
+class ParametrizedRoot(ParametrizedFunction):
+    """A root L(x), or L(x, t), of a metric L L^T, with params."""
+
+    trees = TREES
+    caller, symbol, what = "co.jax.double_bracket", "L", "the root of the metric"
+
+
+class LearnedFunction:
+    """The values of a function with params on the states of a system, (n,) of a torque; called in Python at its own."""
+
+    called_in_python: ClassVar[bool] = True
+
+    def __init__(self, learned: ParametrizedTorque | ParametrizedRoot, system: Any) -> None:
+        self.learned, self.system = learned, system
+        self.timed = len(learned.__signature__.parameters) > 1
+
+    def raw(self, params: Any, x: Any, t: Any) -> Any:
+        """Return what the function returns."""
+        return jnp.asarray(self.learned.at(params, x, *((t,) if self.timed else ())))
+
+    def at(self, params: Any, x: Any, t: Any) -> Any:
+        """Return the values, of torques on bodies as those of the state."""
+        value = self.raw(params, x, t)
+        if not is_on_bodies(value.shape, self.system):
+            return value
+        return jnp.zeros_like(x).at[places_of_torques(self.system)].set(value)
+
+    @cached_property
+    def _compiled(self) -> Callable[..., Any]:
+        return jax.jit(lambda x, t: self.at(self.learned.params, x, t))
+
+    def __call__(self, x: Any, t: float) -> NDArray[np.float64]:
+        y = np.asarray(x)
+        if y.dtype != np.float64:
+            raise TypeError(f"a function of JAX is given numbers of {y.dtype}; its derivatives are of float64 only")
+        return np.asarray(self._compiled(y, t))
+
+    def shape(self) -> tuple[int, ...]:
+        """Return the shape that the function returns; raise TypeError if JAX cannot trace it, or it is of float32."""
+        learned, system = self.learned, self.system
+        if system.has_matrices or not system.has_structure_constants:
+            raise TypeError(f"{learned.caller} acts on systems of vectors on a Lie algebra, not on {system.name}")
+        try:
+            found = jax.eval_shape(self.raw, learned.params, np.zeros(system.dim), 0.0)
+        except Exception as reason:
+            raise TypeError(
+                f"JAX cannot trace {learned.what} on states of {system.dim} numbers ({type(reason).__name__}: "
+                f"{in_one_line(str(reason), 160)}); compute with jax.numpy only"
+            ) from reason
+        if found.dtype != np.float64:
+            raise TypeError(f"{learned.what} returns numbers of {found.dtype}, not of float64{X64}")
+        return tuple(found.shape)
+
+
+class JaxTorque(StateTorque):
+    """The torque x' = N(x, params), or N(x, params, t), in the coordinates of the state or on bodies."""
+
+    called_in_python: ClassVar[bool] = True
+    uses_energy: ClassVar[bool] = False
+
+    def __init__(self, function: Callable[..., Any], params: Any) -> None:
+        self.learned = ParametrizedTorque(function, params)
+
+    def check(self, system: Any) -> None:
+        shape = LearnedFunction(self.learned, system).shape()
+        if shape != (system.dim,) and not is_on_bodies(shape, system):
+            raise ValueError(f"the torque returns the shape {shape}; {system.name} needs {shapes_on(system)}")
+
+    def on_state(self, system: Any) -> tuple[Callable[..., Any], str]:
+        return LearnedFunction(self.learned, system), "x, t"
+
+
+class JaxDoubleBracket(Force):
+    """Damping on the orbit, x' = J(x) L L^T J(x) grad H, with a root L(x, params) or L(x, params, t)."""
+
+    called_in_python: ClassVar[bool] = True
+    casimirs: ClassVar[bool] = True
+
+    def __init__(self, function: Callable[..., Any], params: Any) -> None:
+        self.learned = ParametrizedRoot(function, params)
+
+    def check(self, system: Any) -> None:
+        shape, n = LearnedFunction(self.learned, system).shape(), system.dim
+        if shape not in ((), (n,)) and not (len(shape) == 2 and shape[0] == n):
+            raise ValueError(
+                f"the root of the metric returns the shape {shape}; {system.name} needs a number, ({n},) or ({n}, k)"
+            )
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        v = LearnedFlow(self, system).direction(x, t)
+        return np.asarray(system.sign * (system.algebra.structure_matrix(x) @ v))
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return LearnedFlow(self, system)(x, t, tau)
+
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.flow(LearnedFlow(self, system))
+
+
+class LearnedFlow:
+    """The midpoint rule of a damping on the orbit: in NumPy at the params of the force, or of JAX."""
+
+    called_in_python: ClassVar[bool] = True
+
+    def __init__(self, force: JaxDoubleBracket, system: Any) -> None:
+        self.root, self.system = LearnedFunction(force.learned, system), system
+
+    def direction(self, x: Any, t: Any) -> Any:
+        """Return L L^T f, with the Hamiltonian part f of x'."""
+        return _metric_times(self.root(x, t), self.system.vector_field(x, t))
+
+    def __call__(self, x: Any, t: Any, tau: Any) -> NDArray[Any]:
+        found = midpoint(self.system, lambda y: tau * self.direction(y, t + 0.5 * tau), x)
+        if found.direction is None:
+            raise IntegrationError(
+                "the midpoint rule of co.jax.double_bracket did not converge; take a smaller step",
+                step=1,
+                time=float(t),
+                residual=found.residual,
+            )
+        return exponential(self.system, found.direction, x)
+
+    def on_jax(self, field: StageField) -> Callable[..., Any]:
+        """Return the flow of the numbers of the energy with params, state, time, duration and member."""
+
+        def flow(numbers: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            time = t + 0.5 * tau
+
+            def direction(middle: Any) -> Any:
+                root = self.root.raw(numbers.params, middle, time)
+                return tau * _metric_times(root, field.at(numbers, middle, time))
+
+            return midpoint_on_orbit(field, direction, x)
+
+        return flow
+
+
+def _metric_times(root: Any, f: Any) -> Any:
+    return root @ (root.T @ f) if root.ndim == 2 else root * root * f
