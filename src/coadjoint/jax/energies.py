@@ -128,14 +128,14 @@ def function_with_params(system: Any) -> ParametrizedFunction | None:
     """Return an energy or the function of a force of a system that has params, or None; all must have the same."""
     functions = [function_of(term)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
     functions += [getattr(force, "learned", None) for one in system.distinct for force in one.forces]
-    first, *others = [one for one in functions if isinstance(one, ParametrizedFunction)] or [None]
-    for one in others:
-        if not _same(first.params, one.params):
+    found = [one for one in functions if isinstance(one, ParametrizedFunction)]
+    for one in found[1:]:
+        if not _same(found[0].params, one.params):
             raise TypeError(
-                f"{system.name} has energies and forces of different params, of {first.caller} and {one.caller}; give "
-                "all parameters of the run to each of them, in one pytree"
+                f"{system.name} has energies and forces of different params, of {found[0].caller} and {one.caller}; "
+                "give all parameters of the run to each of them, in one pytree"
             )
-    return first
+    return found[0] if found else None
 
 
 def _same(params: Any, others: Any) -> bool:
