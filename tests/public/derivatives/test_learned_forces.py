@@ -174,11 +174,8 @@ def test_momenta_that_are_not_observed_are_differentiated_through_attitudes():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["on the orbit", "additive"])
-def test_noise_of_a_seed_is_a_fixed_path_of_which_runs_are_differentiated(kind):
+def test_noise_of_a_seed_is_a_fixed_path_of_which_runs_are_differentiated():
     def noise():
-        if kind == "additive":
-            return co.forces.RandomTorque(0.1, seed=4)
         return co.forces.HamiltonianNoise([co.Polynomial({(1, 0, 0): 0.2}), co.Polynomial({(0, 0, 1): 0.1})], seed=4)
 
     def energy(x, params):
@@ -198,8 +195,7 @@ def test_noise_of_a_seed_is_a_fixed_path_of_which_runs_are_differentiated(kind):
     ends = [end(params | {"out": params["out"] + s * h}) for s in (1, -1)]
     assert abs(slope["out"] - (ends[0] - ends[1]) / (2 * h)) < 1e-8
     x = run(x0, params=params | {"out": np.array(0.9)})
-    if kind != "additive":
-        np.testing.assert_allclose((x**2).sum(axis=1), x0 @ x0, rtol=1e-13)
+    np.testing.assert_allclose((x**2).sum(axis=1), x0 @ x0, rtol=1e-13)
 
 
 def with_force(force, system=None):
