@@ -286,8 +286,9 @@ def linear_modes(
         raise ValueError(f"state has the shape {np.shape(state)}; {short(system)} needs ({system.dim},)")
     waves = spaced_waves(lattice, path, read_integer(points, "points", 1, MAX_POINTS))
     waves = measured_waves(neutrons, waves, lattice, system)
-    pairs = (*system._declared.couplings, *system._declared.biquadratics)
-    bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(one.bonds for one in pairs)])
+    declared = system._declared
+    joined = [*(one.bonds for one in declared.couplings), *(one.bonds for one in declared.biquadratics)]
+    bonds = np.concatenate([np.zeros((0, 5), dtype=np.int64), *joined])
     count = len(system.sites)
     axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
     kinds = np.stack([system.spin, system.moments], axis=1)

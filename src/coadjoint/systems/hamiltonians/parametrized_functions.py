@@ -130,8 +130,11 @@ def function_with_params(system: Any, kind: type[Any]) -> Any:
     """Return the energy or the function of a force of a system that has params, or None; all must have the same."""
     functions = [function_of(term, kind)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
     functions += [getattr(force, "learned", None) for one in system.distinct for force in one.forces]
-    first, *others = [one for one in functions if isinstance(one, ParametrizedFunction)] or [None]
-    for one in others:
+    found = [one for one in functions if isinstance(one, ParametrizedFunction)]
+    if not found:
+        return None
+    first = found[0]
+    for one in found[1:]:
         if one.trees is not first.trees or not first.trees.are_same(first.params, one.params):
             raise TypeError(
                 f"{system.name} has energies and forces of different params, of {first.caller} and {one.caller}; give "
