@@ -34,7 +34,7 @@ from coadjoint.systems.lattices.spin_operators import (
 from coadjoint.systems.lattices.spin_terms import edges_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
-from coadjoint.validation import read_complex, read_finite, read_integer, read_number, set_fields
+from coadjoint.validation import read_bool, read_complex, read_finite, read_integer, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
@@ -203,7 +203,10 @@ class CoherentSpinModel(SpinModel):
         where = f"site {chosen.label} {chosen.number}"
         given = coefficients_of(self._operator(matrix, "the single-ion matrix", self.levels))
         odd = ranks(self.levels) % 2 == 1
-        if time_reversal and np.abs(given[odd]).max() > MATRIX_TOLERANCE * np.abs(given).max():
+        if (
+            read_bool(time_reversal, "time_reversal")
+            and np.abs(given[odd]).max() > MATRIX_TOLERANCE * np.abs(given).max()
+        ):
             raise ValueError(
                 f"the single-ion matrix of {where} is not even under time reversal: it has a dipole or octupole; give "
                 "an operator such as D * Sz @ Sz, a field by field(B), or time_reversal=False"
@@ -276,6 +279,7 @@ class CoherentSpinModel(SpinModel):
         [2.0, 4.0]
         """
         strength = read_number(K, "K")
+        check_sizes(np.array(strength), "K")
         scalar = np.sum([np.kron(S, S) for S in operators(0.5 * (self.levels - 1))], axis=0)
         return self._with_pairs("biquadratic", bond, strength * product(scalar, scalar), f"K = {strength:.6g}")
 
@@ -427,6 +431,7 @@ class CoherentSpinModel(SpinModel):
         (5, 64)
         """
         shape = () if members is None else (read_integer(members, "members"),)
+        check_available_memory(8 * math.prod(shape) * (self.dim + 6 * len(self.sites) * self.levels), "random states")
         normal = np.random.default_rng(read_seed(seed, "seed")).standard_normal(
             (*shape, len(self.sites), self.levels, 2)
         )
