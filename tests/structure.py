@@ -21,15 +21,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # With slack: the next thousand lines, the next ten of what is counted. A change that raises a number says in a comment
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
-    "Python files": 507,  # spin models on crystals, layers and vortices, energies of JAX: a file each
-    "Python lines": 115_500,  # the same: models on crystals, layered flow, learned energies, fluids in JAX
+    "Python files": 532,  # spins of SU(N), scattering, loops and barriers, files of simulators, PyTorch: a file each
+    "Python lines": 123_500,  # the same: what users of SpinW, Sunny, mumax3 and of learned forces look for
     "longest file": 700,
-    "isinstance": 585,  # values of files of others, energies and params of users
-    "calls by text": 9,
+    "isinstance": 640,  # values of files of others, energies and params of users
+    "calls by text": 10,  # `sol.to_ovf` writes files
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
     "C++ lines": 25_000,  # forces as lanes, derivatives of steps with forces
-    "test lines": 81_000,  # with what they test
+    "test lines": 87_000,  # with what they test
     "test files that import internals": 80,
 }
 

@@ -25,7 +25,7 @@ ROUNDING = 1e-9  # of sums of solid angles of up to 10^7 triangles
 FLAT = 1e-6  # largest difference of the heights of sites, in distances of cells
 
 
-class Plane(NamedTuple):
+class PlaneOfSites(NamedTuple):
     """A lattice in the plane: vectors of the cell (2, 2), sites in units of them, cells (a, b), layers, occupation."""
 
     vectors: Floats
@@ -112,7 +112,7 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
     return result if result.ndim else float(result)
 
 
-def _plane(model: Any) -> Plane:
+def _plane(model: Any) -> PlaneOfSites:
     """Return the plane of a model; ValueError or TypeError for systems without one."""
     if isinstance(model, CoherentSpinModel):
         raise TypeError(f'{model.name} have no directions; skyrmion_number needs spins of mode="dipole"')
@@ -133,7 +133,7 @@ def _plane(model: Any) -> Plane:
             )
         vectors = np.stack([a, b]) @ frame.T
         sites = (places - places[0]) @ frame.T @ np.linalg.inv(vectors)
-        return Plane(vectors, sites, model.size[:2], model.periodic[:2], model.size[2], model._declared.numbers)
+        return PlaneOfSites(vectors, sites, model.size[:2], model.periodic[:2], model.size[2], model._declared.numbers)
     layout: Any = getattr(model, "layout", {})
     name, parameters = layout.get("lattice"), getattr(model, "parameters", None) or {}
     if not has_cell(name) or len(CELLS[name].edges) != 2 or "periodic" not in parameters:
@@ -145,10 +145,10 @@ def _plane(model: Any) -> Plane:
     sizes, vectors = sizes_of(layout["shape"]), np.array(CELLS[name].edges, dtype=np.float64)
     sites = np.array(CELLS[name].sites, dtype=np.float64) @ np.linalg.inv(vectors)
     total = len(sites) * math.prod(sizes)
-    return Plane(vectors, sites, (sizes[0], sizes[1]), read_flags(parameters["periodic"], 2), 1, np.arange(total))
+    return PlaneOfSites(vectors, sites, (sizes[0], sizes[1]), read_flags(parameters["periodic"], 2), 1, np.arange(total))
 
 
-def _triangles(plane: Plane) -> Integers:
+def _triangles(plane: PlaneOfSites) -> Integers:
     """Return the triangles of all cells of a layer, (triangles, 3), counterclockwise; none crosses an open edge."""
     corners, offsets = _triangles_of_cell(plane.vectors, plane.sites)
     na, nb = plane.cells
