@@ -24,27 +24,26 @@ struct NotDifferentiated {};  // thrown if a derivative is not found
 
 class ForceDerivative {
   public:
-    ForceDerivative(const ForceDerivatives& table, const ForceTable& force, const StepTables& tables,
-                    const ForcedDerivatives& all)
-        : table(table), force(force), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n) {
+    ForceDerivative(const ForceDerivatives& table, Force& flow, const StepTables& tables, const ForcedDerivatives& all)
+        : table(table), plain(flow), force(flow.table), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n) {
         if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
             exponential.reset(new MatrixExponential(n));
         if (table.kind == derivatives::ALONG)
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
         if (table.kind == derivatives::ON_ORBIT) orbit.reset(new OrbitDerivative(force, tables.field, table));
-        if (table.moved) here.reset(new Force(force, tables.field, tables.group, SHARED));
         for (int64_t k = 0; k < NODES * table.moved; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group,
                                           SHARED));
     }
 
-    // Replace vectors (count, n) at a state by their tangents after the flow, along directions (count, all coefficients).
-    void push(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
+    // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
+    // (count, all coefficients).
+    void push(const FlowTime& at, const double* x, const double* end, double* vectors, int64_t count,
+              const double* directions) {
         const double* const own = directions + table.first;
-        const bool whole = is_whole(at, x);
+        const bool whole = is_in_python(at, x, end, vectors, count);
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
-        if (table.kind == derivatives::ALONG && !whole)
-            for (int64_t v = 0; v < count; ++v) move_along(at, x, vectors + v * n, vectors + v * n);
+        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), count * n, vectors);
         if (table.kind == derivatives::ON_ORBIT && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients))
             throw NotDifferentiated();
         if (whole || table.depends) {
@@ -59,31 +58,28 @@ class ForceDerivative {
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
             if (!directed) continue;
-            difference(at, x, k);
+            difference(at, x, end, k);
             for (int64_t v = 0; v < count; ++v)
                 for (int64_t i = 0; i < n; ++i)
                     vectors[v * n + i] = fma(along[v * all.coefficients], sum[i], vectors[v * n + i]);
         }
     }
 
-    // Replace the cotangent of the state after the flow by that of the state x before; add those of the coefficients.
-    void pull(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
+    // Replace the cotangent of the `end` after the flow by that of the state x before; add those of the coefficients.
+    void pull(const FlowTime& at, const double* x, const double* end, double* row, double* by_coefficients) {
         double* const own = by_coefficients + table.first;
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, k);
+            difference(at, x, end, k);
             for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
         }
-        const bool whole = is_whole(at, x);
+        const bool whole = is_in_python(at, x, end, units(), n);
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
         if (table.kind == derivatives::ALONG && !whole) {
             std::copy_n(row, n, moved.data());
             for (int64_t j = 0; j < n; ++j) {
-                std::fill(sum.begin(), sum.end(), 0.0);
-                sum[j] = 1.0;
-                move_along(at, x, sum.data(), sum.data());
                 row[j] = 0.0;
-                for (int64_t i = 0; i < n; ++i) row[j] = fma(sum[i], moved[i], row[j]);
+                for (int64_t i = 0; i < n; ++i) row[j] = fma(images[j * n + i], moved[i], row[j]);
             }
         }
         if (table.kind == derivatives::ON_ORBIT && !orbit->pull(x, at.t, at.tau, at.member, row, own))
@@ -97,8 +93,10 @@ class ForceDerivative {
     static constexpr double AT_ZERO[] = {4.0 / 5.0, -2.0 / 5.0, 4.0 / 35.0, -1.0 / 70.0};
     static constexpr double SMOOTH = 0x1p-23, ROUNDING = 0x1p-49;  // part of the change and of the state by which it is off
     static constexpr double AGREEMENT = 0x1p-20;  // of tangents and differences, as for flows in Python
+    static constexpr double ONE_SIDED = 0x1p-26;  // about the square root of the unit round-off: the best accuracy
     static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
     const ForceDerivatives& table;
+    Force& plain;
     const ForceTable& force;
     const ForcedDerivatives& all;
     const int64_t n;
@@ -107,9 +105,8 @@ class ForceDerivative {
     std::unique_ptr<MatrixExponential> exponential;
     std::unique_ptr<Force> along;
     std::unique_ptr<OrbitDerivative> orbit;
-    std::unique_ptr<Force> here;
     std::vector<std::unique_ptr<Force>> nearby;
-    std::vector<double> moved, sum, beside, called, grown, changes, scaled;
+    std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent;
 
     // Set `growth` to E of x -> x + E (x - aim) + b.
     void find_growth(const FlowTime& at) {
@@ -209,17 +206,17 @@ class ForceDerivative {
                 to[i] = fma(growth[shape() == DIAGONAL ? i : 0], from[i], to[i]);
     }
 
-    // Set out to the tangent of a vector, or to the state after the flow.
-    void move_along(const FlowTime& at, const double* x, const double* vector, double* out, bool tangent = true) {
+    // Set out to the tangent of a vector.
+    void move_along(const FlowTime& at, const double* x, const double* vector, double* out) {
         beside.assign(x, x + n);
         beside.insert(beside.end(), vector, vector + n);
         if (along->flow(beside.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
-        std::copy_n(beside.data() + (tangent ? n : 0), n, out);
+        std::copy_n(beside.data() + n, n, out);
     }
 
     // Set `sum` to the derivative of the flow by the moved parameter k: of order eight, unless the value at zero that belongs
     // to it is not that of the flow, so that nearer ones are taken in Python.
-    void difference(const FlowTime& at, const double* x, int64_t k) {
+    void difference(const FlowTime& at, const double* x, const double* end, int64_t k) {
         std::fill(sum.begin(), sum.end(), 0.0);
         beside.assign(n, 0.0);
         for (int64_t node = 0; node < NODES; ++node) {
@@ -230,12 +227,11 @@ class ForceDerivative {
                 beside[i] = fma(AT_ZERO[node / 2], moved[i], beside[i]);
             }
         }
-        move(*here, at, x, moved);
         double off = 0.0, change = 0.0, size = 0.0;
         for (int64_t i = 0; i < n; ++i) {
-            off = larger(off, absolute(beside[i] - moved[i]));
+            off = larger(off, absolute(beside[i] - end[i]));
             change = larger(change, absolute(sum[i]));
-            size = larger(size, absolute(moved[i]));
+            size = larger(size, absolute(end[i]));
         }
         if (off <= SMOOTH * change + ROUNDING * size) {
             for (int64_t i = 0; i < n; ++i) sum[i] /= table.distance[k];
@@ -249,28 +245,65 @@ class ForceDerivative {
         if (flow.flow(to.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
-    // Whether the function in Python differentiates the flow by the state: tangents by a complex function are compared with
-    // a difference in one direction, which they agree with where the function is analytic.
-    bool is_whole(const FlowTime& at, const double* x) {
+    const double* units() {
+        if (!unit.empty()) return unit.data();
+        unit.assign(n * n, 0.0);
+        for (int64_t i = 0; i < n; ++i) unit[i * (n + 1)] = 1.0;
+        return unit.data();
+    }
+
+    // Whether the function in Python differentiates the flow by the state. Otherwise, of functions, `images` are set to the
+    // tangents of vectors (count, n), by complex steps. A sum of them is compared with a difference in its direction, which
+    // it agrees with where the function is analytic.
+    bool is_in_python(const FlowTime& at, const double* x, const double* end, const double* vectors, int64_t count) {
         if (table.kind != derivatives::ALONG) return table.kind == derivatives::IN_PYTHON;
-        double size = 0.0;
-        for (int64_t i = 0; i < n; ++i) size = larger(size, absolute(x[i]));
-        const double length = DIFFERENCE * (size > 0.0 ? size : 1.0);
-        std::vector<double> direction(n), tangent(n), ends[2];
-        for (int64_t i = 0; i < n; ++i) direction[i] = (i % 2 ? -1.0 : 1.0) * (0.5 + double(7 * i % 11) / 11.0);
-        move_along(at, x, direction.data(), tangent.data());
-        for (int side = 0; side < 2; ++side) {
-            std::vector<double>& end = ends[side];
-            end.assign(x, x + n);
-            for (int64_t i = 0; i < n; ++i) end[i] = fma(side ? -length : length, direction[i], end[i]);
-            const std::vector<double> start = end, none(n, 0.0);
-            move_along(at, start.data(), none.data(), end.data(), false);
+        images.resize(count * n);
+        direction.assign(n, 0.0), tangent.assign(n, 0.0);
+        for (int64_t v = 0; v < count; ++v) {
+            const double* const vector = vectors + v * n;
+            double* const image = images.data() + v * n;
+            move_along(at, x, vector, image);
+            const double size = size_of(vector);
+            if (!(size > 0.0)) continue;
+            // Different ones, so that errors do not cancel.
+            const double weight = (0.5 + double(7 * v % 11) / 11.0) / size;
+            for (int64_t i = 0; i < n; ++i) {
+                direction[i] = fma(weight, vector[i], direction[i]);
+                tangent[i] = fma(weight, image[i], tangent[i]);
+            }
         }
+        const double length = size_of(direction.data());
+        if (!(length > 0.0)) return false;
+        for (int64_t i = 0; i < n; ++i) direction[i] /= length, tangent[i] /= length;
+        // Behind the state, since complex numbers are compared as if it were moved along the vector: a kink at the state is
+        // found. A difference on both sides is more accurate where the function is strongly curved.
+        const double size = size_of(x), unit = size > 0.0 ? size : 1.0;
+        std::vector<double>& behind = moved;
+        move_by(-ONE_SIDED * unit, at, x, behind);
+        if (agree(end, behind.data(), ONE_SIDED * unit)) return false;
+        move_by(DIFFERENCE * unit, at, x, sum);
+        move_by(-DIFFERENCE * unit, at, x, behind);
+        return !agree(sum.data(), behind.data(), 2.0 * DIFFERENCE * unit);
+    }
+
+    void move_by(double length, const FlowTime& at, const double* x, std::vector<double>& to) {
+        beside.assign(x, x + n);
+        for (int64_t i = 0; i < n; ++i) beside[i] = fma(length, direction[i], x[i]);
+        move(plain, at, beside.data(), to);
+    }
+
+    bool agree(const double* end, const double* begin, double length) const {
         for (int64_t i = 0; i < n; ++i) {
-            const double difference = (ends[0][i] - ends[1][i]) / (2.0 * length);
-            if (!(absolute(tangent[i] - difference) <= AGREEMENT * (1.0 + absolute(tangent[i])))) return true;
+            const double difference = (end[i] - begin[i]) / length;
+            if (!(absolute(tangent[i] - difference) <= AGREEMENT * (1.0 + absolute(tangent[i])))) return false;
         }
-        return false;
+        return true;
+    }
+
+    double size_of(const double* vector) const {
+        double size = 0.0;
+        for (int64_t i = 0; i < n; ++i) size = larger(size, absolute(vector[i]));
+        return size;
     }
 
     void call(const FlowTime& at, bool whole, const double* x, int64_t count, double* vectors, double* directions) const {

@@ -42,8 +42,8 @@ class ForcedSteps {
                                    reinterpret_cast<const void*>(all.inner[3 * k + 2])});
         for (size_t j = 0; j < layout.forces.size(); ++j) {
             forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
-            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *layout.forces[j],
-                                                   tables, all));
+            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,
+                                                   all));
         }
     }
 
@@ -62,8 +62,10 @@ class ForcedSteps {
         int64_t mark = 0;
         const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
         const auto push = [&](const FlowTime& at, int64_t b) {
-            flows[at.flow]->push(at, x.data() + b * n, vectors + b * carried * n, carried, along(b));
-            apply(at, x.data() + b * n);
+            double* const state = x.data() + b * n;
+            const std::vector<double> before(state, state + n);
+            apply(at, state);
+            flows[at.flow]->push(at, before.data(), state, vectors + b * carried * n, carried, along(b));
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             each_substep(run.t0 + double(k - 1) * run.h, run.h, [&](const Substep& one, double t, double h) {
@@ -238,17 +240,20 @@ class ForcedSteps {
                     double* by_coefficients) {
         std::vector<FlowTime> times;
         std::vector<int64_t> members;
-        std::vector<double> before;
+        std::vector<double> passed;  // the states before and after each
         std::copy_n(from, count * n, x.data());
         each_flow(one, side, start, h, [&](const FlowTime& at, int64_t b) {
             times.push_back(at);
             members.push_back(b);
-            before.insert(before.end(), x.data() + b * n, x.data() + (b + 1) * n);
-            apply(at, x.data() + b * n);
+            double* const state = x.data() + b * n;
+            passed.insert(passed.end(), state, state + n);
+            apply(at, state);
+            passed.insert(passed.end(), state, state + n);
         });
         for (size_t k = times.size(); k-- > 0;) {
             const int64_t b = members[k];
-            flows[times[k].flow]->pull(times[k], before.data() + k * n, rows + b * n, by_coefficients + b * all.coefficients);
+            const double* const before = passed.data() + 2 * k * n;
+            flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n, by_coefficients + b * all.coefficients);
         }
     }
 
