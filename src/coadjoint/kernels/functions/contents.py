@@ -126,10 +126,10 @@ class _Lifting:
         kind = _kind_of_constant(value)
         if kind is None:
             return value
-        numbers = np.array(value, dtype=np.float64)
+        numbers = np.array(value, dtype=np.complex128 if kind.startswith("complex") else np.float64)
         place = self.places.setdefault(id(function), {})[name] = Place(self._count, kind, numbers.shape)
-        self.constants.append(numbers.ravel())
-        self._count += numbers.size
+        self.constants.append(numbers.ravel().view(np.float64))
+        self._count += self.constants[-1].size
         return place
 
 
@@ -333,13 +333,16 @@ def defaults_of(function: types.FunctionType) -> dict[str, Any]:
 
 
 def _kind_of_constant(value: Any) -> str | None:
-    """Return the kind of a float, or of a tuple or an array of floats, and None for other values."""
+    """Return the kind of a float, of a tuple or an array of floats, and of complex ones; None for other values."""
     if type(value) in (float, np.float64):
         return "float"
+    if type(value) is complex:
+        return "complex"
     if type(value) is tuple and value and all(type(one) is float for one in value):
         return "tuple"
-    is_array = type(value) is np.ndarray and value.dtype == np.float64 and value.ndim and value.size
-    return "array" if is_array and value.flags.c_contiguous else None
+    if type(value) is not np.ndarray or not value.ndim or not value.size or not value.flags.c_contiguous:
+        return None
+    return {"d": "array", "D": "complex array"}.get(value.dtype.char if value.dtype.isnative else "")
 
 
 def is_own(module: str) -> bool:

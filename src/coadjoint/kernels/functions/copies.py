@@ -218,12 +218,12 @@ def reader(place: Place) -> Any:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def read(_: Any, constants: Any) -> Any:
-        number = numba_types.float64
+        number = numba_types.complex128 if kind.startswith("complex") else numba_types.float64
         found = {
             "float": number,
+            "complex": number,
             "tuple": numba_types.UniTuple(number, prod(shape)),
-            "array": numba_types.Array(number, max(1, len(shape)), "C", readonly=True),
-        }[kind]
+        }.get(kind) or numba_types.Array(number, max(1, len(shape)), "C", readonly=True)
 
         def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
             def address(k: int) -> Any:
@@ -237,15 +237,20 @@ def reader(place: Place) -> Any:
 
             if kind == "float":
                 return loaded(0)
+            if kind == "complex":
+                value = context.make_complex(builder, found)
+                value.real, value.imag = loaded(0), loaded(1)
+                return value._getvalue()
             if kind == "tuple":
                 return context.make_tuple(builder, found, [loaded(k) for k in range(*shape)])
-            array, strides = make_array(found)(context, builder), 8 * np.cumprod([1, *shape[:0:-1]])[::-1]
+            size = number.bitwidth // 8
+            array, strides = make_array(found)(context, builder), size * np.cumprod([1, *shape[:0:-1]])[::-1]
             populate_array(
                 array,
-                data=address(0),
+                data=builder.bitcast(address(0), context.get_data_type(number).as_pointer()),
                 shape=[cgutils.intp_t(n) for n in shape],
                 strides=[cgutils.intp_t(int(n)) for n in strides],
-                itemsize=cgutils.intp_t(8),
+                itemsize=cgutils.intp_t(size),
                 meminfo=None,
             )
             return array._getvalue()

@@ -508,11 +508,11 @@ def flow_table(system: Any, j: int, order: int) -> ForceTable:
 
 
 def compiled_flow(
-    system: Any, j: int, order: int, beside: bool = False
+    system: Any, j: int, order: int, beside: bool = False, force: Any = None
 ) -> tuple[ForceTable, tuple[KernelFunction, ...]] | None:
     """Return the table of the flow j and its function, if it is `beside` of a state and a vector side by side.
 
-    None if the function cannot be compiled, which then must take complex numbers.
+    None if the function cannot be compiled, which then must take complex numbers. `force` may have complex parameters.
     """
     if beside and system.has_matrices:
         return None
@@ -520,7 +520,7 @@ def compiled_flow(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of functions that the user did not give
-            table: ForceTable = system.flows[j][1].describe_to(reader, system.unforced)
+            table: ForceTable = (force or system.flows[j][1]).describe_to(reader, system.unforced)
     except TypeError:
         return None
     return table, reader.keepalive

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import types
 from abc import abstractmethod
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.rounding import COMPLEX_STEP
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
@@ -343,6 +345,17 @@ class Torque(StateTorque):
         """The function of the state and the time, with the values of the other arguments."""
         return _with_values(self.torque, self.arguments) if self.arguments else cast(Callable[..., Any], self.torque)
 
+    def after_complex_step(self, field: str, entry: int) -> Force | None:
+        outer, _, moved = field.partition(".")
+        if outer != "arguments":
+            return None
+        # All are complex, so that the function is compiled once.
+        values = {name: np.array(value, dtype=np.complex128) for name, value in self.arguments}
+        values[moved].flat[entry] += COMPLEX_STEP * 1j
+        stepped = copy.copy(self)
+        set_fields(stepped, arguments=tuple((name, as_tuples(value)) for name, value in values.items()))
+        return stepped
+
     def _arguments(self) -> str:
         """Return the arguments of the function in its order, such as "t", "x", "x, t" or "omega, A, t"."""
         parameters = parameters_of_function(self.function)
@@ -491,7 +504,10 @@ def _read_arguments(value: Any, torque: Any) -> tuple[tuple[str, Any], ...]:
 def _with_values(function: Any, arguments: tuple[tuple[str, Any], ...]) -> Callable[..., Any]:
     """Return a function with values of its last arguments as their defaults, which are data of machine code."""
     plain = getattr(function, "py_func", function)
-    values = tuple(np.array(value) if isinstance(value, tuple) else float(value) for _, value in arguments)
+    values = tuple(
+        np.array(value) if isinstance(value, tuple) else value if isinstance(value, complex) else float(value)
+        for _, value in arguments
+    )
     return types.FunctionType(plain.__code__, plain.__globals__, plain.__name__, values, plain.__closure__)
 
 

@@ -228,8 +228,8 @@ TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
 // are at `hessians`; the coefficients are the logarithms of the directions of the noise and of the damping, by
 // coordinate, and those of the terms `added` of the derivative of H, by `functions`. IN_PYTHON: by `function`, which other
 // kinds call for coefficients `called` alone, if the flow `depends` on some, and where they do not agree with differences.
-// Tables of flows with moved parameters are at `nearby`, eight for each of the `moved` coefficients, at the nodes 1, -1, 2,
-// ..., -4 in units of `distance`; `numbered` are their numbers among those that Python knows.
+// Tables of flows with moved parameters are at `nearby`, for each of the `moved` coefficients at the nodes 1, -1, 2, ..., -4
+// in units of `distance`, and as ALONG after a complex step, or 0; `numbered` are their numbers for Python.
 #define FORCE_DERIVATIVES_FIELDS(_)                                                                                  \
     _(integer, kind) _(integer, first) _(integer, own) _(integer, shape) _(numbers, matrix)                        \
     _(integer, along) _(addresses, hessians) _(Terms, added) _(addresses, functions) _(integer, function)            \

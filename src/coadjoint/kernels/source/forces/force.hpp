@@ -72,6 +72,13 @@ class Force {
         return given_flow(x, t, tau, member);
     }
 
+    // Set `out` to the value of the function of a torque.
+    void call_at(const double* y, double t, double* out) {
+        InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
+        ++evaluations;
+        call(constants.address(table.function, 0, 0), y, t, out);
+    }
+
     // Whether the flow computes the change of the energy, the only invariant that it changes.
     bool measures() const { return spins && spins->measures(); }
     double change() const { return spins->change; }
@@ -93,12 +100,6 @@ class Force {
     std::unique_ptr<BrownianIncrements> increments;
     const std::unique_ptr<MatrixForce> matrix;
     std::unique_ptr<SelectiveDecay> decay;
-
-    void call_at(const double* y, double t, double* out) {
-        InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
-        ++evaluations;
-        call(constants.address(table.function, 0, 0), y, t, out);
-    }
 
     double number(const double* from, int64_t position) const { return constants.number_at<double>(from, position); }
 

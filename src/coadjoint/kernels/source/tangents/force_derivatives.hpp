@@ -25,15 +25,17 @@ struct NotDifferentiated {};  // thrown if a derivative is not found
 class ForceDerivative {
   public:
     ForceDerivative(const ForceDerivatives& table, Force& flow, const StepTables& tables, const ForcedDerivatives& all)
-        : table(table), plain(flow), force(flow.table), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n) {
+        : table(table), plain(flow), force(flow.table), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n),
+          unit(n), direction(n) {
         if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
             exponential.reset(new MatrixExponential(n));
         if (table.kind == derivatives::ALONG)
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
         if (table.kind == derivatives::ON_ORBIT) orbit.reset(new OrbitDerivative(force, tables.field, table));
-        for (int64_t k = 0; k < NODES * table.moved; ++k)
-            nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group,
-                                          SHARED));
+        for (int64_t k = 0; k < TABLES * table.moved; ++k)
+            nearby.emplace_back(table.nearby[k] ? new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field,
+                                                            tables.group, SHARED, k % TABLES == NODES ? 2 * n : 0)
+                                                : nullptr);
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
@@ -41,7 +43,11 @@ class ForceDerivative {
     void push(const FlowTime& at, const double* x, const double* end, double* vectors, int64_t count,
               const double* directions) {
         const double* const own = directions + table.first;
-        const bool whole = is_in_python(at, x, end, vectors, count);
+        images.resize(count * n);
+        const auto vector_of = [&](int64_t v) { return vectors + v * n; };
+        const bool whole = is_in_python(at, x, end, count, vector_of, [&](int64_t v, const double* image) {
+            std::copy_n(image, n, images.data() + v * n);
+        });
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
         if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), count * n, vectors);
         if (table.kind == derivatives::ON_ORBIT && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients))
@@ -53,12 +59,16 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
+        bool probed = false, steps = table.kind == derivatives::ALONG && !whole;
         for (int64_t k = 0; k < table.moved; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
             if (!directed) continue;
-            difference(at, x, end, k);
+            // The vectors may be zero, and the tangent by a parameter moves the state within the flow.
+            if (steps && !probed) steps = !is_in_python(at, x, end, 1, [&](int64_t) { return probe(); }, [](auto...) {});
+            probed = true;
+            difference(at, x, end, k, steps);
             for (int64_t v = 0; v < count; ++v)
                 for (int64_t i = 0; i < n; ++i)
                     vectors[v * n + i] = fma(along[v * all.coefficients], sum[i], vectors[v * n + i]);
@@ -68,20 +78,23 @@ class ForceDerivative {
     // Replace the cotangent of the `end` after the flow by that of the state x before; add those of the coefficients.
     void pull(const FlowTime& at, const double* x, const double* end, double* row, double* by_coefficients) {
         double* const own = by_coefficients + table.first;
+        images.resize(n);
+        const auto vector_of = [&](int64_t v) {
+            std::fill(unit.begin(), unit.end(), 0.0);
+            unit[v] = 1.0;
+            return unit.data();
+        };
+        const bool whole = is_in_python(at, x, end, n, vector_of, [&](int64_t v, const double* image) {
+            images[v] = 0.0;
+            for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
+        });
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, end, k);
+            difference(at, x, end, k, !whole);
             for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
         }
-        const bool whole = is_in_python(at, x, end, units(), n);
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
-        if (table.kind == derivatives::ALONG && !whole) {
-            std::copy_n(row, n, moved.data());
-            for (int64_t j = 0; j < n; ++j) {
-                row[j] = 0.0;
-                for (int64_t i = 0; i < n; ++i) row[j] = fma(images[j * n + i], moved[i], row[j]);
-            }
-        }
+        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), n, row);
         if (table.kind == derivatives::ON_ORBIT && !orbit->pull(x, at.t, at.tau, at.member, row, own))
             throw NotDifferentiated();
     }
@@ -89,12 +102,13 @@ class ForceDerivative {
   private:
     static constexpr MemberConstants SHARED{1, 0};
     // Nodes on both sides, and weights, of differences of order eight.
-    static constexpr int64_t NODES = 8;
+    static constexpr int64_t NODES = 8, TABLES = NODES + 1;
     static constexpr double AT_ZERO[] = {4.0 / 5.0, -2.0 / 5.0, 4.0 / 35.0, -1.0 / 70.0};
     static constexpr double SMOOTH = 0x1p-23, ROUNDING = 0x1p-49;  // part of the change and of the state by which it is off
     static constexpr double AGREEMENT = 0x1p-20;  // of tangents and differences, as for flows in Python
     static constexpr double ONE_SIDED = 0x1p-26;  // about the square root of the unit round-off: the best accuracy
     static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
+    static constexpr double OF_ORDER_FOUR[] = {2.0 / 3.0, -2.0 / 3.0, -1.0 / 12.0, 1.0 / 12.0};
     const ForceDerivatives& table;
     Force& plain;
     const ForceTable& force;
@@ -206,21 +220,22 @@ class ForceDerivative {
                 to[i] = fma(growth[shape() == DIAGONAL ? i : 0], from[i], to[i]);
     }
 
-    // Set out to the tangent of a vector.
-    void move_along(const FlowTime& at, const double* x, const double* vector, double* out) {
+    // Return the tangent of a vector.
+    const double* image_of(const FlowTime& at, const double* x, const double* vector) {
         beside.assign(x, x + n);
         beside.insert(beside.end(), vector, vector + n);
         if (along->flow(beside.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
-        std::copy_n(beside.data() + n, n, out);
+        return beside.data() + n;
     }
 
-    // Set `sum` to the derivative of the flow by the moved parameter k: of order eight, unless the value at zero that belongs
-    // to it is not that of the flow, so that nearer ones are taken in Python.
-    void difference(const FlowTime& at, const double* x, const double* end, int64_t k) {
+    // Set `sum` to the derivative of the flow by the moved parameter k: by a complex step if it `steps`, or of order eight,
+    // unless the value at zero that belongs to it is not that of the flow, so that nearer ones are taken in Python.
+    void difference(const FlowTime& at, const double* x, const double* end, int64_t k, bool steps) {
+        if (steps && step_aside(at, x, k)) return;
         std::fill(sum.begin(), sum.end(), 0.0);
         beside.assign(n, 0.0);
         for (int64_t node = 0; node < NODES; ++node) {
-            move(*nearby[k * NODES + node], at, x, moved);
+            move(*nearby[k * TABLES + node], at, x, moved);
             const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
             for (int64_t i = 0; i < n; ++i) {
                 sum[i] = fma(weight, moved[i], sum[i]);
@@ -240,33 +255,56 @@ class ForceDerivative {
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
     }
 
+    // Set `sum` to the derivative by a complex step of the parameter, if the function takes one, and if its derivative agrees
+    // with a difference of order four of its values: not of flows, whose rounding is that of the state of weak forces too.
+    bool step_aside(const FlowTime& at, const double* x, int64_t k) {
+        Force* const stepped = nearby[k * TABLES + NODES].get();
+        if (!stepped) return false;
+        beside.assign(x, x + n);
+        beside.resize(2 * n, 0.0);
+        tangent.resize(2 * n);
+        stepped->call_at(beside.data(), at.t, tangent.data());
+        std::fill(sum.begin(), sum.end(), 0.0);
+        for (int64_t node = 0; node < 4; ++node) {
+            nearby[k * TABLES + node]->call_at(x, at.t, moved.data());
+            for (int64_t i = 0; i < n; ++i) sum[i] = fma(OF_ORDER_FOUR[node], moved[i], sum[i]);
+        }
+        double off = 0.0;
+        for (int64_t i = 0; i < n; ++i) off = larger(off, absolute(sum[i] - table.distance[k] * tangent[n + i]));
+        if (!(off <= AGREEMENT * size_of(sum.data()) + ROUNDING * size_of(tangent.data()))) return false;
+        if (stepped->flow(beside.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) return false;
+        std::copy_n(beside.data() + n, n, sum.data());
+        return true;
+    }
+
     void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to) {
         to.assign(x, x + n);
         if (flow.flow(to.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
-    const double* units() {
-        if (!unit.empty()) return unit.data();
-        unit.assign(n * n, 0.0);
-        for (int64_t i = 0; i < n; ++i) unit[i * (n + 1)] = 1.0;
+    // Different ones, so that errors do not cancel.
+    static double weight_of(int64_t k) { return 0.5 + double(7 * k % 11) / 11.0; }
+
+    // A vector in a generic direction.
+    const double* probe() {
+        for (int64_t i = 0; i < n; ++i) unit[i] = weight_of(i);
         return unit.data();
     }
 
-    // Whether the function in Python differentiates the flow by the state. Otherwise, of functions, `images` are set to the
-    // tangents of vectors (count, n), by complex steps. A sum of them is compared with a difference in its direction, which
+    // Whether the function in Python differentiates the flow by the state. Otherwise, of functions, take(v, image) has got
+    // the tangents of `count` vectors, by complex steps. A sum of them is compared with a difference in its direction, which
     // it agrees with where the function is analytic.
-    bool is_in_python(const FlowTime& at, const double* x, const double* end, const double* vectors, int64_t count) {
+    template <class VectorOf, class Take>
+    bool is_in_python(const FlowTime& at, const double* x, const double* end, int64_t count, const VectorOf& vector_of,
+                      const Take& take) {
         if (table.kind != derivatives::ALONG) return table.kind == derivatives::IN_PYTHON;
-        images.resize(count * n);
         direction.assign(n, 0.0), tangent.assign(n, 0.0);
         for (int64_t v = 0; v < count; ++v) {
-            const double* const vector = vectors + v * n;
-            double* const image = images.data() + v * n;
-            move_along(at, x, vector, image);
+            const double *const vector = vector_of(v), *const image = image_of(at, x, vector);
+            take(v, image);
             const double size = size_of(vector);
             if (!(size > 0.0)) continue;
-            // Different ones, so that errors do not cancel.
-            const double weight = (0.5 + double(7 * v % 11) / 11.0) / size;
+            const double weight = weight_of(v) / size;
             for (int64_t i = 0; i < n; ++i) {
                 direction[i] = fma(weight, vector[i], direction[i]);
                 tangent[i] = fma(weight, image[i], tangent[i]);
