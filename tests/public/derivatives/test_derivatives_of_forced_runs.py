@@ -194,6 +194,69 @@ def test_functions_that_take_no_complex_numbers_are_differentiated_by_difference
     assert_derivatives(acting(BODY, force), co.Splitting(), X3, (0.5, 0.5 + 3 * H), H, attitude=True, error=2.0**-28)
 
 
+def size_of_gain(x, gain, factors):
+    return -np.abs(gain) * factors * x
+
+
+@pytest.mark.parametrize("gain", [-0.3, -1e-12])
+def test_a_modulus_of_an_argument_is_noticed_however_weak_the_law(gain):
+    """The complex step of the modulus has no derivative: differences are taken, whose rounding is that of the state."""
+    force = F.Torque(size_of_gain, arguments={"gain": gain, "factors": (1.0, 2.0, 0.5)})
+    ready, span = co.prepare(BODY.with_forces(force), co.Splitting(), H), (0.5, 0.5 + 4 * H)
+    known = F.Torque(size_of_gain, arguments={"gain": -gain, "factors": (1.0, 2.0, 0.5)})
+    of_known = co.prepare(BODY.with_forces(known), co.Splitting(), H)
+    found, wanted = (one.jvp(X3, span, {"Torque.arguments.gain": 1.0})[1].x[-1] for one in (ready, of_known))
+    exact = BODY.with_forces(F.LinearDamping(abs(gain) * np.array([1.0, 2.0, 0.5])))
+    rates = co.prepare(exact, co.Splitting(), H).jvp(X3, span, {"LinearDamping.rate": np.array([1.0, 2.0, 0.5])})[1].x[-1]
+    error = 1e-5 if gain == -0.3 else 64 * 2.0**-53 / abs(gain)
+    np.testing.assert_allclose(found, -rates, rtol=0, atol=error)
+    np.testing.assert_allclose(wanted, rates, rtol=0, atol=error)
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1.0, 1e30])
+def test_arguments_of_laws_in_other_units_backward(scale):
+    """Arrays and numbers, of members, with another force between: the formulas of the same forces are exact."""
+
+    def law(x, t, rates, torque, ratio):
+        return torque / ratio - rates * x
+
+    values = {"rates": (0.3, 0.2, 0.1), "torque": tuple(scale * np.array(AIM)), "ratio": 2.0}
+    x0, span = scale * np.outer([1.0, 0.5, 1.5], X3), (0.5, 0.5 - 6 * H)
+    body = co.systems.rigid_body(inertia=scale * np.array([1.0, 2.0, 2.5]))
+    ready = co.prepare(body.with_forces(F.Torque(law, arguments=values), F.LinearDamping(0.2)), co.Splitting(order=4), H)
+    sol, pullback = ready.vjp(x0, span)
+    found = pullback(sol.x / scale**2)
+    d = 2.0**-10
+
+    def difference(name, change):
+        """Return the derivative of |x|^2 / 2 at all points by Richardson's extrapolation of runs."""
+
+        def at(by):
+            moved = {**values, name: np.asarray(values[name]) + by * np.asarray(change)}
+            law_moved = F.Torque(law, arguments=moved)
+            run = co.prepare(body.with_forces(law_moved, F.LinearDamping(0.2)), co.Splitting(order=4), H)
+            return 0.5 * np.sum((run.run(x0, span).x / scale) ** 2)
+
+        near, far = ((at(by) - at(-by)) / (2 * by) for by in (d, 2 * d))
+        return (4 * near - far) / 3
+
+    change = np.array([0.3, -0.5, 0.7])
+    assert abs(found["Torque.arguments.rates"] @ change - difference("rates", change)) < 1e-8
+    assert abs(scale * found["Torque.arguments.torque"] @ change - difference("torque", scale * change)) < 1e-8
+    assert abs(found["Torque.arguments.ratio"] - difference("ratio", 1.0)) < 1e-8
+
+
+def test_a_kink_at_the_state_is_differentiated_as_before():
+    """A function that has two derivatives at the state is differentiated by differences on both sides."""
+    force = F.Torque(lambda x: -0.3 * np.maximum(x, 0.0))
+    ready = co.prepare(BODY.with_forces(force), co.Splitting(), H)
+    sol, pullback = ready.vjp(np.array([1.0, 0.0, 0.0]), (0.0, H))
+    gradient = pullback(np.stack([np.zeros(3), [0.0, 1.0, 0.0]]))["x0"]
+    one, other = (ready.run([1.0, by, 0.0], (0.0, H)).x[-1][1] / by for by in (1e-6, -1e-6))
+    assert abs(one - other) > 1e-3
+    np.testing.assert_allclose(gradient[1], 0.5 * (one + other), rtol=0, atol=1e-4)
+
+
 def test_members_have_the_derivatives_of_single_runs():
     system = BODY.with_forces(F.LinearDamping(FULL, toward=AIM), F.HeatBath(0.2, temperature=0.3, seed=5))
     ready, x0 = co.prepare(system, co.Splitting(), H, attitude=True), np.outer(np.linspace(0.5, 1.5, 35), X3)
