@@ -67,6 +67,11 @@ def cubes(a):
     return lambda x, t: c[1, :, 2] * x - c[0, 2, 1:] * t
 
 
+def complex_numbers(a):
+    z, w = a + 0.5j, a * np.arange(6.0).reshape(2, 3) + 1j * np.arange(3.0)
+    return lambda x, t: (z * w[1] * x + w[0] * t).real - (z * x).imag
+
+
 def tuples(a):
     w = (a, 2.0 * a, 0.5)
     return lambda x, t: np.array([w[0] * x[0], w[1] - x[1], w[2] + len(w)])
@@ -126,7 +131,20 @@ def renamed(a):
     return function
 
 
-LIFTED = [floats, arrays, cubes, tuples, defaults, numpy_floats, helpers, loops, lists, shared, renamed]
+LIFTED = [
+    floats,
+    arrays,
+    cubes,
+    complex_numbers,
+    tuples,
+    defaults,
+    numpy_floats,
+    helpers,
+    loops,
+    lists,
+    shared,
+    renamed,
+]
 
 
 def in_tuples(a):

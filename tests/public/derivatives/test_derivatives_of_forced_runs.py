@@ -207,7 +207,9 @@ def test_a_modulus_of_an_argument_is_noticed_however_weak_the_law(gain):
     of_known = co.prepare(BODY.with_forces(known), co.Splitting(), H)
     found, wanted = (one.jvp(X3, span, {"Torque.arguments.gain": 1.0})[1].x[-1] for one in (ready, of_known))
     exact = BODY.with_forces(F.LinearDamping(abs(gain) * np.array([1.0, 2.0, 0.5])))
-    rates = co.prepare(exact, co.Splitting(), H).jvp(X3, span, {"LinearDamping.rate": np.array([1.0, 2.0, 0.5])})[1].x[-1]
+    rates = (
+        co.prepare(exact, co.Splitting(), H).jvp(X3, span, {"LinearDamping.rate": np.array([1.0, 2.0, 0.5])})[1].x[-1]
+    )
     error = 1e-5 if gain == -0.3 else 64 * 2.0**-53 / abs(gain)
     np.testing.assert_allclose(found, -rates, rtol=0, atol=error)
     np.testing.assert_allclose(wanted, rates, rtol=0, atol=error)
@@ -223,7 +225,9 @@ def test_arguments_of_laws_in_other_units_backward(scale):
     values = {"rates": (0.3, 0.2, 0.1), "torque": tuple(scale * np.array(AIM)), "ratio": 2.0}
     x0, span = scale * np.outer([1.0, 0.5, 1.5], X3), (0.5, 0.5 - 6 * H)
     body = co.systems.rigid_body(inertia=scale * np.array([1.0, 2.0, 2.5]))
-    ready = co.prepare(body.with_forces(F.Torque(law, arguments=values), F.LinearDamping(0.2)), co.Splitting(order=4), H)
+    ready = co.prepare(
+        body.with_forces(F.Torque(law, arguments=values), F.LinearDamping(0.2)), co.Splitting(order=4), H
+    )
     sol, pullback = ready.vjp(x0, span)
     found = pullback(sol.x / scale**2)
     d = 2.0**-10
@@ -250,7 +254,7 @@ def test_a_kink_at_the_state_is_differentiated_as_before():
     """A function that has two derivatives at the state is differentiated by differences on both sides."""
     force = F.Torque(lambda x: -0.3 * np.maximum(x, 0.0))
     ready = co.prepare(BODY.with_forces(force), co.Splitting(), H)
-    sol, pullback = ready.vjp(np.array([1.0, 0.0, 0.0]), (0.0, H))
+    _, pullback = ready.vjp(np.array([1.0, 0.0, 0.0]), (0.0, H))
     gradient = pullback(np.stack([np.zeros(3), [0.0, 1.0, 0.0]]))["x0"]
     one, other = (ready.run([1.0, by, 0.0], (0.0, H)).x[-1][1] / by for by in (1e-6, -1e-6))
     assert abs(one - other) > 1e-3
