@@ -147,16 +147,18 @@ def test_twisted_lattices_in_loops_paths_and_averages():
         model = co.systems.spins(CHAIN, (cells, 1, 1), periodic=(True, False, False), **twist).exchange(BOND, -1.0)
         return model.biquadratic(BOND, 0.2).single_ion("Ni", np.diag([0, 0, -0.4]))
 
-    turned, plain = ring(4, twist=(2 * np.pi, 0, 0)), ring(4)
-    fields = np.linspace(1, -1, 5)[:, None] * UP
-    loops = [co.spins.hysteresis(model, fields, np.tile(UP, 4)) for model in (turned, plain)]
+    turned, plain = ring(3, twist=(2 * np.pi, 0, 0)), ring(3)
+    fields = np.array([1.0, 0.0, -1.0])[:, None] * UP
+    loops = [co.spins.hysteresis(model, fields, np.tile(UP, 3)) for model in (turned, plain)]
     assert np.allclose(loops[0].switching_fields, loops[1].switching_fields, atol=2e-3)
-    barriers = [co.spins.minimum_energy_path(m, np.tile(UP, 4), np.tile(-UP, 4)).barrier for m in (turned, plain)]
+    barriers = [
+        co.spins.minimum_energy_path(m, np.tile(UP, 3), np.tile(-UP, 3), images=5).barrier for m in (turned, plain)
+    ]
     assert abs(barriers[0] - barriers[1]) < 1e-9
     states = [co.thermal_states(m, 0.5, seed=1, sweeps=9).x for m in (turned, plain)]
     assert np.allclose(*states, atol=1e-9)
     with refused(ValueError, "field", "axis", "twist"):
-        co.spins.hysteresis(ring(4, twist=(0.7, 0, 0)), fields[:, ::-1], np.tile(UP, 4))
+        co.spins.hysteresis(ring(3, twist=(0.7, 0, 0)), fields[:, ::-1], np.tile(UP, 3))
     # Two cells turned by pi are half of four; also with vacancies, members, and derivatives.
     half, whole = ring(3, twist=(np.pi, 0, 0)), ring(6)
     x = np.random.default_rng(1).standard_normal((3, 3))
@@ -196,7 +198,6 @@ def test_terms_of_degree_four_on_micromagnetic_models(tmp_path):
     model = plain.single_ion(0, {"B40": b, "B44": 5 * b})
     loop = co.spins.hysteresis(model, np.linspace(0.15, -0.15, 5)[:, None] * UP, -UP)
     assert np.allclose(loop.switching_fields, [-2 * Kc1 / Msat * UP], atol=5e-4)
-    assert abs(co.spins.minimum_energy_path(model, UP, UP[[2, 1, 0]]).barrier / (Kc1 * edge**3 / 4) - 6.2415e21) < 1e18
     x0 = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
     hot = model.with_forces(co.forces.Gilbert(0.1, temperature=300, seed=3))
     whole = co.integrate(hot, x0, (5, 15), 0.02, co.GaussLegendre(1))
