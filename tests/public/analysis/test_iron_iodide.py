@@ -140,7 +140,8 @@ def lines_of_a_run(size, temperature, time, sweeps):
     model = small if size == small.size else iron_iodide(size)[0]
     stripe, own = ((one.cells[:, 1] - one.cells[:, 2]) % 4 for one in (small, model))
     x = model.from_amplitudes(Z[[np.flatnonzero(stripe == k)[0] for k in own]])
-    start = co.thermal_states(model, temperature=temperature, sweeps=sweeps, seed=4, x0=x).x
+    members = 1 if model is small else 2
+    start = co.thermal_states(model, temperature, members, sweeps=sweeps, seed=4, x0=x).x
     order = float((model.dipoles(start)[..., 2] * np.where(own < 2, 1, -1)).mean())
     sol = co.integrate(model, start, (0, time), 0.1, co.GaussLegendre(2), save_every=2, watch=False)
     S = co.spectra.structure_factor(sol, [(0, 0, 0), (1, 0, 0)])
