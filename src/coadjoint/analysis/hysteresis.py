@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.spin_descent import SpinSurface, angles, descend, tilted
-from coadjoint.analysis.thermal_states import are_spins
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import read_seed
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite, read_positive
@@ -101,7 +101,7 @@ def hysteresis(
     Raises
     ------
     TypeError, ValueError
-        Another system, forces, or arguments of other shapes.
+        Another system, forces, arguments of other shapes, or fields that are not along the axis of a twisted lattice.
     RuntimeError
         No equilibrium was found in 50 000 steps.
 
@@ -120,7 +120,7 @@ def hysteresis(
     >>> loop.switching_fields.round(2).tolist()
     [[0.0, 0.0, -1.0]]
     """
-    if not (isinstance(model, SpinModel) and are_spins(model)):
+    if not isinstance(model, SpinModel) or isinstance(model, CoherentSpinModel):
         raise TypeError(f"model is {short(model)}; give one of co.spins.micromagnetic or co.systems.spins, of dipoles")
     if model.forces:
         raise TypeError(f"{model.name} has forces; hysteresis takes the Hamiltonian part, model.unforced")
@@ -129,6 +129,8 @@ def hysteresis(
         raise ValueError(f"fields has shape {targets.shape}; give one field (3,) in each row")
     if start.shape != (model.dim,):
         raise ValueError(f"x0 has shape {start.shape}; {model.name} needs ({model.dim},)")
+    if model._declared.twist is not None:
+        model._declared.twist.check_field(targets)
     largest = float(np.linalg.norm(targets, axis=1).max())
     resolution = 1e-3 * largest if tolerance is None else read_positive(tolerance, "tolerance")
     key = read_seed(seed, "seed")

@@ -145,7 +145,9 @@ def _plane(model: Any) -> PlaneOfSites:
     sizes, vectors = sizes_of(layout["shape"]), np.array(CELLS[name].edges, dtype=np.float64)
     sites = np.array(CELLS[name].sites, dtype=np.float64) @ np.linalg.inv(vectors)
     total = len(sites) * math.prod(sizes)
-    return PlaneOfSites(vectors, sites, (sizes[0], sizes[1]), read_flags(parameters["periodic"], 2), 1, np.arange(total))
+    return PlaneOfSites(
+        vectors, sites, (sizes[0], sizes[1]), read_flags(parameters["periodic"], 2), 1, np.arange(total)
+    )
 
 
 def _triangles(plane: PlaneOfSites) -> Integers:

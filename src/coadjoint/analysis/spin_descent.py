@@ -12,7 +12,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = npt.NDArray[np.float64]
 
-LARGEST_TURN = 0.05  # radians of any spin in one step
+FIRST_TURN, LARGEST_TURN = 1e-4, 0.05  # radians of any spin in the first and in one step, which may not cross barriers
 MAX_STEPS = 50_000
 
 
@@ -22,6 +22,8 @@ class SpinSurface:
     def __init__(self, system: Any, x: Floats, linear: Any = 0.0) -> None:
         self.system, self.linear = system, linear
         self.lengths = np.linalg.norm(x.reshape(-1, 3), axis=1, keepdims=True)
+        anywhere = normalized(np.random.default_rng(0).standard_normal(self.lengths.shape[:1] + (3,)))
+        self._typical = float(np.abs(self.gradient(anywhere) - self.linear).max(initial=0.0))
 
     def directions(self, x: Floats) -> Floats:
         """Return the directions of a state; zero where a spin has no length."""
@@ -32,6 +34,10 @@ class SpinSurface:
 
     def energy(self, s: Floats) -> float:
         return float(self.system.energy(self.state(s)) + (self.linear * s).sum())
+
+    def scale(self, gradient: Floats) -> float:
+        """Return the size of the fields: the gradients of terms of degree four may vanish at a minimum."""
+        return max(float(np.abs(gradient).max(initial=0.0)), self._typical)
 
     def gradient(self, s: Floats) -> Floats:
         """Return the derivatives of the energy by directions, also along them."""
@@ -68,13 +74,13 @@ def descend(surface: SpinSurface, s: Floats, tolerance: float) -> Floats:
     energy, gradient = surface.energy(s), surface.gradient(s)
     torque, step = tangential(s, gradient), np.inf
     for count in range(MAX_STEPS):
-        scale = float(np.abs(gradient).max(initial=0.0))
+        scale = surface.scale(gradient)
         largest = float(np.linalg.norm(torque, axis=1).max(initial=0.0))
         if largest <= tolerance * scale:
             return s
         if count % 1000 == 999:
             note_progress(f"a minimum, now with torques of {largest / scale:.1e} of the fields")
-        step = min(step, LARGEST_TURN / largest)
+        step = min(step, (LARGEST_TURN if count else FIRST_TURN) / largest)
         rounding = 64.0 * UNIT_ROUNDOFF * scale * len(s)
         while True:
             moved = normalized(s - step * torque)

@@ -16,6 +16,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import read_seed
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.systems.system_checks import check_one_system
@@ -91,7 +92,8 @@ def thermal_averages(
     Parameters
     ----------
     system : SpinModel or LiePoissonSystem
-        Spins, as for `co.thermal_states`.
+        Spins, as for `co.thermal_states`, also of SU(N), whose moments are those of their dipoles. On a twisted lattice
+        the magnetization is that of its own cells, and fields turn beyond the ends as the spins do.
     temperature : float or (temperatures,) array_like
         In the unit of the system: kelvin for models in units of meV, else an energy.
     seed : int
@@ -144,14 +146,15 @@ def thermal_averages(
     True
     """
     check_one_system(system)
-    if not are_spins(system):
+    coherent = isinstance(system, CoherentSpinModel)
+    if not coherent and not are_spins(system):
         raise TypeError(f"{system.name} is not made of spins; thermal_averages needs copies of so(3)")
     temperatures = read_finite(temperature, "temperature")
     if temperatures.ndim > 1 or not temperatures.size:
         raise ValueError(f"temperature has shape {temperatures.shape}; give one number, or one for each curve point")
     key, count = read_seed(seed, "seed"), read_integer(members, "members", 1)
     total, first = read_integer(sweeps, "sweeps", 1), read_integer(start, "start", 0)
-    spacing, spins = read_integer(every, "every", 1), system.dim // 3
+    spacing, spins = read_integer(every, "every", 1), len(system.sites) if coherent else system.dim // 3
     samples = total // spacing
     if samples < MIN_SAMPLES:
         raise ValueError(f"{total} sweeps have {samples} samples, one every {spacing}; {MIN_SAMPLES} are needed")
@@ -179,7 +182,8 @@ def thermal_averages(
         x = states.x
         if k >= 0:
             energies[k] = states.energy[-1]
-            moments[k] = np.einsum("i,mia->ma", factors, x.reshape(len(points), spins, 3))
+            directions = system.dipoles(x) / system.spin[:, None] if coherent else x.reshape(len(points), spins, 3)
+            moments[k] = np.einsum("i,mia->ma", factors, directions)
         note_progress("averages", (k + 1) / samples)
     kT = system.boltzmann * np.atleast_1d(temperatures)
     conjugate = UNITS[system.units].mu_B if isinstance(system, SpinModel) else 1.0

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from coadjoint.files.crystals.cif import cell_of_block, cif_number, sites_of_block, structure_block
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.crystals import Crystal, expanded_crystal
 from coadjoint.systems.lattices.space_groups import (
     SymmetryOperations,
@@ -72,8 +73,8 @@ class MagneticStructure:
 
         Returns
         -------
-        (3 spins,) ndarray
-            Unit vectors, in the order of the model.
+        (n,) ndarray
+            Unit vectors, in the order of the model; the coherent states of these directions for SU(N).
 
         Raises
         ------
@@ -113,7 +114,8 @@ class MagneticStructure:
                 f"{self.source} has no moment at spin {bad[0]} of the model, at {places[bad[0]].round(4).tolist()} in "
                 "units of the magnetic cell; give a model of the magnetic sites, with the same origin"
             )
-        return np.asarray((np.sign(model.moments) / sizes)[:, None] * moments).ravel()
+        directions = np.asarray((np.sign(model.moments) / sizes)[:, None] * moments)
+        return model.coherent(directions) if isinstance(model, CoherentSpinModel) else directions.ravel()
 
 
 @suggest_keywords

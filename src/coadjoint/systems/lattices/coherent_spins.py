@@ -116,12 +116,13 @@ class CoherentSpinModel(SpinModel):
             driving, _ = driving_field(driven, count, width)
             H = H + driving
         algebra = sites_algebra(levels, count, units.hbar)
-        known = dict(algebra.casimirs_known)
+        known = {name: partial(algebra.casimirs_known.__getitem__, name) for name in algebra.casimirs_known}
+        whole = {"sum of |x|^2": partial(Quadratic, np.full(width * count, 2.0))}
         LiePoissonSystem.__init__(
             self,
             algebra,
             H,
-            casimirs=known or KnownInvariants({"sum of |x|^2": partial(Quadratic, np.full(width * count, 2.0))}),
+            casimirs=KnownInvariants(known or whole),
             name=f"spins of SU({levels})",
             integrals=KnownInvariants({} if driven is not None else self._total_spins(M, on_site)),
         )
