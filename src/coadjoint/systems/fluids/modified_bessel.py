@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 # Sums, products, quotients and roots alone, which every machine rounds in the same way; the last bits of log and exp of
-# the C library differ. Arguments may be complex, near the positive axis, so that functions have complex steps.
+# the C library differ.
 
 EULER = 0.5772156649015329
 LN2, LN2_HIGH, LN2_LOW = 0.6931471805599453, 6.93147180369123816490e-01, 1.90821492927058770002e-10
@@ -63,11 +63,11 @@ def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
 
 def _logarithm(s: Any) -> Any:
     """Return the logarithm of numbers up to 1."""
-    if s.real <= 0.0:
+    if s <= 0.0:
         return np.log(s)
     rest, halvings = s, 0.0
     for factor, doublings in DOUBLINGS:
-        if rest.real * factor <= 1.4142135623730951:
+        if rest * factor <= 1.4142135623730951:
             rest, halvings = rest * factor, halvings + doublings
     z = (rest - 1.0) / (rest + 1.0)
     return (z * _polynomial(OF_LOGARITHM, z * z) - halvings * LN2_LOW) - halvings * LN2_HIGH
@@ -75,7 +75,7 @@ def _logarithm(s: Any) -> Any:
 
 def _falling_exponential(u: Any) -> Any:
     """Return exp(-u) of numbers from 1 to `UNDERFLOW`."""
-    halvings = int(u.real / LN2 + 0.5)
+    halvings = int(u / LN2 + 0.5)
     rest = (u - halvings * LN2_HIGH) - halvings * LN2_LOW
     value, factor = _polynomial(OF_EXPONENTIAL, -rest), 0.5
     while halvings > 0:
@@ -87,7 +87,7 @@ def _falling_exponential(u: Any) -> Any:
 
 def _beyond_one(u: Any, above: Sequence[float], below: Sequence[float]) -> Any:
     """Return K of numbers above 1, or NaN."""
-    if not u.real < UNDERFLOW:
+    if not u < UNDERFLOW:
         return 0.0 / u
     w = 1.0 / u
     return np.sqrt(0.5 * pi * w) * _falling_exponential(u) * (_polynomial(above, w) / _polynomial(below, w))
@@ -95,7 +95,7 @@ def _beyond_one(u: Any, above: Sequence[float], below: Sequence[float]) -> Any:
 
 def k0(s: Any) -> Any:
     """Return ``K0(sqrt(s))``."""
-    if s.real <= 1.0:
+    if s <= 1.0:
         q = 0.25 * s
         return _polynomial(OF_K0, q) - 0.5 * _logarithm(q) * _polynomial(OF_I0, q)
     return _beyond_one(np.sqrt(s), ABOVE_0, BELOW_0)
@@ -103,7 +103,7 @@ def k0(s: Any) -> Any:
 
 def k1_over_argument(s: Any) -> Any:
     """Return ``K1(u)/u`` of ``u = sqrt(s)``."""
-    if s.real <= 1.0:
+    if s <= 1.0:
         q = 0.25 * s
         return 1.0 / s + (0.25 * _logarithm(q) * _polynomial(OF_I1, q) - _polynomial(OF_K1, q))
     u = np.sqrt(s)
