@@ -113,11 +113,7 @@ def contenders(system: Any, step: float) -> dict[str, Callable[[np.ndarray, int]
 def products_of_a_step(system: Any, W: np.ndarray, step: float, steps: int) -> tuple[float, float]:
     """Return the products of a step in the precision of the states, and those in the lower one, on average."""
     stats = co.integrate(system, W, (0.0, steps * step), step, co.IsospectralGauss(stages=1), save_every=steps).stats
-    panels = 1 if system.algebra.N < 32 else 4 if system.algebra.N < 256 else 8
-    whole = stats.iterations * (2.0 + 0.5 * (1.0 + 1.0 / panels))
-    # An evaluation predicts, and one follows each midpoint; the others are slopes, of two products, as the last change.
-    slopes = stats.evaluations - stats.steps - stats.iterations
-    return whole / steps, 2.0 * (slopes + stats.steps) / steps
+    return stats.matrix_products / steps, stats.lower_products / steps
 
 
 def main() -> None:

@@ -209,6 +209,7 @@ OWN = {
             outside=((1.0, 0.0), (1e-101,), (1e101,), [[1.0]], np.ones(683))
         ),
         "surface": choice("plane", "sphere"),
+        "radius": optional(positive(0.5, 1e-100, 1e100)).first(None, 0.5, 1e-100, 1e100).but_called(r"\bradius\b"),
     },
     "rigid_molecules": {
         "sites": vector([[0.0, 0.0, 0.0], [0.08, 0.0, 0.06], [-0.08, 0.0, 0.06]], real()),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,24 @@ class IsospectralGauss(SubstepMethod):
         products = 8 if self.stages == 1 else 3 * self.stages
         return work_of_products(matrices_of(system), products, iterated=True)
 
+    def matrix_products(self, system: System, steps: int, evaluations: int, iterations: int) -> tuple[float, float]:
+        matrices = matrices_of(system)
+        n, skew, layers = matrices.algebra.N, matrices.algebra.skew, len(matrices.matrix_shape) == 3
+        # Two layers that are not independent are X0 + eps X1, whose product takes three.
+        factor = (matrices.matrix_shape[0] if matrices.independent_layers else 3) if layers else 1
+        if self.stages == 1 and skew and not layers:
+            # A prediction and each midpoint are an evaluation; the others are slopes, of two products, as are changes
+            # of the midpoint at the ends of steps, which follow slopes.
+            slopes = evaluations - steps - iterations
+            return iterations * (2.0 + _lower_part(n, 1 if n < 32 else 4 if n < 256 else 8)), 2.0 * (
+                slopes + min(slopes, steps)
+            )
+        half = _lower_part(n, 1 if n < 32 else 4)
+        if self.stages == 1:
+            return factor * iterations * (1.0 + half if skew else 3.0), 0.0
+        of_iterations = iterations * (2.0 + half if skew else 4.0)
+        return factor * self.stages * (of_iterations + steps * (1.0 if skew else 2.0)), 0.0
+
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         matrices = matrices_of(system)
@@ -135,6 +154,12 @@ def matrices_of(system: Any) -> MatrixSystem:
             "take Splitting or GaussLegendre"
         )
     return system
+
+
+def _lower_part(n: int, panels: int) -> float:
+    """Return the part of a product that panels of rows compute, up to the last diagonal entry of each."""
+    ends = [n * p // panels for p in range(panels + 1)]
+    return sum((last - first) * last for first, last in pairwise(ends)) / n**2
 
 
 def _coefficients(stages: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

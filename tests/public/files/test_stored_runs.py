@@ -124,6 +124,7 @@ OTHERS = {
     ("thermal_qg", "lamb"): {"N": 5, "lamb": 2.0},
     ("thermal_qg", "surface"): {"N": 5, "surface": "torus"},
     ("point_vortices", "surface"): {"surface": "sphere"},
+    ("point_vortices", "radius"): {"radius": 0.5},
 }  # fmt: skip
 OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar", "layered_qg")}
 SIZED = {

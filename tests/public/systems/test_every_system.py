@@ -58,6 +58,7 @@ SOLVED = {
     "satellite": (S.satellite((0.7, 0.7, 0.7), 1.5, 0.8), 0),
     "vortices": (S.point_vortices((1.0, 2.5)), 0),
     "opposite vortices": (S.point_vortices((-1.0, 1.0)), 0),
+    "screened vortices": (S.point_vortices((1.0, 2.5), radius=0.7), 0),
     "vortices on a sphere": (S.point_vortices((-1.0, 2.5), "sphere"), 0),
 }
 OTHERS = {

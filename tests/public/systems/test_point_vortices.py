@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import k0, k1
 
 import coadjoint as co
 from refusals import refused
@@ -18,32 +19,34 @@ def places_of(surface, count=4, seed=1):
     return r / np.linalg.norm(r, axis=1, keepdims=True) if surface == "sphere" else r
 
 
-def velocities(circulations, r):
-    """Return the velocities (count, 2) or (count, 3), vortex by vortex."""
+def velocities(circulations, r, radius=None):
+    """Return the velocities (count, 2) or (count, 3), vortex by vortex; with a radius those of screened ones."""
     found = np.zeros_like(r)
     for i in range(len(r)):
         for j in set(range(len(r))) - {i}:
             d = r[i] - r[j]
             across = np.cross(r[j], r[i]) if r.shape[1] == 3 else np.array([-d[1], d[0]])
-            found[i] += circulations[j] * across / (2 * np.pi * (d @ d))
+            u = 1.0 if radius is None else np.sqrt(d @ d) / radius
+            found[i] += circulations[j] * across / (2 * np.pi * (d @ d)) * (1.0 if radius is None else u * k1(u))
     return found
 
 
-def reference(circulations, r, span):
+def reference(circulations, r, span, radius=None):
     def field(t, y):
-        return velocities(circulations, y.reshape(r.shape)).ravel()
+        return velocities(circulations, y.reshape(r.shape), radius).ravel()
 
     return solve_ivp(field, span, r.ravel(), method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1].reshape(r.shape)
 
 
 @pytest.mark.parametrize("span", [(0.0, 1.5), (2.0, 0.5)])
-@pytest.mark.parametrize("surface", ["plane", "sphere"])
-def test_members_follow_the_equations_of_kirchhoff_and_helmholtz(surface, span):
-    s, starts = S.point_vortices(CIRCULATIONS, surface), [places_of(surface, seed=k) for k in (1, 2)]
+@pytest.mark.parametrize("surface, radius", [("plane", None), ("sphere", None), ("plane", 0.6)])
+def test_members_follow_the_equations_of_kirchhoff_and_helmholtz(surface, radius, span):
+    s, starts = S.point_vortices(CIRCULATIONS, surface, radius), [places_of(surface, seed=k) for k in (1, 2)]
     x0 = np.stack([s.state(r) for r in starts])
     sol = co.integrate(s, x0, span, 2.0**-8, GAUSS, save_every=64)
     for k, r in enumerate(starts):
-        np.testing.assert_allclose(s.places(sol.x[-1, k]), reference(CIRCULATIONS, r, span), rtol=0, atol=1e-10)
+        wanted = reference(CIRCULATIONS, r, span, radius)
+        np.testing.assert_allclose(s.places(sol.x[-1, k]), wanted, rtol=0, atol=1e-10)
     for name, values in s.integrals.items():
         of_run = values(sol.x)
         assert np.ptp(of_run, axis=0).max() < 1e-10, name
@@ -76,6 +79,62 @@ def test_orders_on_the_sphere(scheme, order):
     wanted = reference(CIRCULATIONS, r, (0, 1)).ravel()
     errors = [np.abs(co.integrate(s, s.state(r), (0, 1), h, scheme).x[-1] - wanted).max() for h in (0.01, 0.005)]
     assert order - 0.3 < np.log2(errors[0] / errors[1]) < order + 0.3
+
+
+def test_members_may_have_radii_of_their_own():
+    r, radii = places_of("plane"), (0.3, 5.0)
+    batch = co.batch([S.point_vortices(CIRCULATIONS, radius=radius) for radius in radii])
+    sol = co.integrate(batch, batch.of_member(0).state(r), (0, 1), 2.0**-7, GAUSS)
+    for k, radius in enumerate(radii):
+        wanted = reference(CIRCULATIONS, r, (0, 1), radius)
+        np.testing.assert_allclose(sol.x[-1, k, :-1].reshape(r.shape), wanted, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1.0, 1e30])
+def test_energy_and_velocity_of_screened_vortices_are_bessel_functions(scale):
+    """An argument that is rounded to one part of 2^53 changes them by u parts; SciPy's errors are a few units."""
+    s = S.point_vortices((2.0, 3.0), radius=scale)
+    for u in (*np.geomspace(1e-8, 700.0, 60), *np.linspace(0.9, 1.1, 40)):
+        x = s.state([[0.0, 0.0], [0.6 * u * scale, 0.8 * u * scale]])
+        exact = 8e-16 * (2 + u)
+        assert s.energy(x) == pytest.approx(6.0 * k0(u) / (2 * np.pi), rel=exact)
+        across = k1(u) / (2 * np.pi * scale) * np.array([0.8, -0.6])
+        np.testing.assert_allclose(s.vector_field(x)[:4], [*(3.0 * across), *(-2.0 * across)], rtol=exact)
+    far = s.state([[0.0, 0.0], [1e4 * scale, 0.0]])
+    assert s.energy(far) == 0.0
+    assert not s.vector_field(far).any()
+
+
+def test_the_jacobian_of_screened_vortices():
+    s, r, step = S.point_vortices(CIRCULATIONS, radius=0.6), places_of("plane"), 1e-5
+    for k, change in enumerate(step * np.eye(8).reshape(8, 4, 2)):
+        slope = (velocities(CIRCULATIONS, r + change, 0.6) - velocities(CIRCULATIONS, r - change, 0.6)) / (2 * step)
+        np.testing.assert_allclose(s.jacobian(s.state(r))[:8, k], slope.ravel(), rtol=0, atol=1e-8)
+
+
+def test_screened_vortices_of_a_large_radius_are_those_without_one():
+    """``u K1(u) - 1`` is 3e-19 at u = 2e-10; energies differ by a constant."""
+    plain, screened = S.point_vortices(CIRCULATIONS), S.point_vortices(CIRCULATIONS, radius=1e10)
+    x = plain.state([places_of("plane", seed=k) for k in (1, 2)])
+    for one in x:
+        np.testing.assert_allclose(screened.vector_field(one), plain.vector_field(one), rtol=0, atol=1e-14)
+    changes = [s.energy(x[1]) - s.energy(x[0]) for s in (plain, screened)]
+    assert changes[1] == pytest.approx(changes[0], abs=1e-13)  # of energies of 10
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1e30])
+def test_screened_pairs_turn_or_go_straight_in_any_unit(scale):
+    d, R = 1.0, 0.4
+    rate = 3.0 * k1(d / R) / (2 * np.pi * d * R * scale)
+    s = S.point_vortices((scale, 2.0 * scale), radius=R * scale)
+    x0 = s.state(scale * np.array([[0.4, 0.1], [-0.6, 0.1]]))
+    period = 2 * np.pi / rate
+    sol = co.integrate(s, x0, (period, 2 * period), period / 256, GAUSS)
+    assert np.abs(sol.x[-1] - x0)[:4].max() < 1e-11 * scale
+    assert np.abs(s.exact(x0, period / 4) - sol.x[64])[:4].max() < 1e-11 * scale
+    opposite = S.point_vortices((scale, -scale), radius=R * scale)
+    moved = opposite.places(opposite.exact(x0, period / 4)) - opposite.places(x0)
+    np.testing.assert_allclose(moved[:, 1], -np.pi / 6 * scale, rtol=1e-14)
 
 
 def growth(count):
@@ -176,6 +235,17 @@ def test_archives_and_places(tmp_path):
     assert again.system.places(again.x).shape == (101, 4, 3)
 
 
+def test_archives_keep_the_radius_and_are_resumed(tmp_path):
+    s, path = S.point_vortices(CIRCULATIONS, radius=0.6), tmp_path / "screened.zarr"
+    x0 = s.state(places_of("plane"))
+    whole = co.integrate(s, x0, (0, 1), 2.0**-6, GAUSS)
+    co.integrate(s, x0, (0, 0.5), 2.0**-6, GAUSS, archive=path)
+    assert co.load(path).system.radius == 0.6
+    co.resume(path, 1.0)
+    assert np.array_equal(co.load(path).x, whole.x)
+    assert S.point_vortices().radius is None
+
+
 def test_what_is_refused():
     plane, sphere = S.point_vortices(), S.point_vortices((1.0, 2.0), "sphere")
     with refused(ValueError, "|x|^2 [2]", 4, "unit"):
@@ -194,5 +264,10 @@ def test_what_is_refused():
         sphere.state([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     with refused(ValueError, "(3, 2)", "2 vortices"):
         plane.state(np.zeros((3, 2)))
+    with refused(ValueError, "radius", "sphere", "plane"):
+        S.point_vortices((1.0, 2.0), "sphere", radius=0.5)
+    for radius in (0.0, -1.0, np.inf, 1e101, 1e-101):
+        with refused(ValueError, "radius"):
+            S.point_vortices((1.0, 2.0), radius=radius)
     with refused(ValueError, "momentum", "point_vortices"):
         plane.with_forces(co.forces.LinearDamping(0.1))

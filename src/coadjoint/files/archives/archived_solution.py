@@ -40,7 +40,7 @@ from coadjoint.runs.events import NUMBERS, RecordedEvents, events_of_numbers, jo
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.results.solution_attributes import Statistics, with_products
 
 if TYPE_CHECKING:
     import xarray
@@ -134,7 +134,7 @@ class ArchivedSolution(StoredSolution):
         """The work of the run; the seconds are summed over all workers."""
         evaluations, iterations, seconds = (self._progress[name] for name in ("evaluations", "iterations", "seconds"))
         elapsed = float(self.attributes.get("elapsed", np.nan))
-        return Statistics(self.reached, evaluations, iterations, float(seconds), elapsed)
+        return with_products(Statistics(self.reached, evaluations, iterations, float(seconds), elapsed), self)
 
     @cached_property
     def events(self) -> RecordedEvents | None:

@@ -43,7 +43,7 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.results.solution_attributes import Statistics, with_products
 from coadjoint.runs.times import output_times_of, times_of
 from coadjoint.systems.batch import SUFFIX
 from coadjoint.systems.coordinates import coordinate_names, coordinates_of
@@ -101,7 +101,8 @@ class LoadedSolution(StoredSolution):
         named = (TAKEN_ATTRIBUTE, ENDED_ATTRIBUTE, "steps")
         steps = int(next(attributes[name] for name in named if name in attributes))
         work = int(attributes["evaluations"]), int(attributes["iterations"])
-        return Statistics(steps, *work, float(attributes["seconds"]), float(attributes.get("elapsed", np.nan)))
+        seconds = float(attributes["seconds"]), float(attributes.get("elapsed", np.nan))
+        return with_products(Statistics(steps, *work, *seconds), self)
 
     @cached_property
     def events(self) -> RecordedEvents | None:

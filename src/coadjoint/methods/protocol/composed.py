@@ -89,6 +89,11 @@ class Composed(Wrapper):
     def with_compensation(self) -> Method | None:
         return self._with_compensated_base()
 
+    def matrix_products(
+        self, system: System, steps: int, evaluations: int, iterations: int
+    ) -> tuple[float, float] | None:
+        return self.base.matrix_products(system, len(self.coefficients) * steps, evaluations, iterations)
+
 
 def check_base(base: Any, wrapper: str, example: str) -> None:
     """Raise a TypeError if the base of a wrapper is not a scheme."""

@@ -286,6 +286,14 @@ class Method(Abstract):
         Work
         """
 
+    def matrix_products(
+        self, system: System, steps: int, evaluations: int, iterations: int
+    ) -> tuple[float, float] | None:
+        """Return the products of matrices of so many steps, in the precision of the states and in the lower one, or
+        None.
+        """
+        return None
+
     def restored(self, system: System) -> Mapping[str, Any] | None:
         """Return the `Polynomial`s and `Quadratic`s that a step restores with the energy, by name; None: no energy."""
         return None

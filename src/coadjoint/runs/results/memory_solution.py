@@ -14,7 +14,7 @@ from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.loops.loops import GroupCorrection
 from coadjoint.runs.results.quantities import NamedValues, Observed, ObservedValues
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.results.solution_attributes import Statistics, with_products
 from coadjoint.runs.start import Start, start_without_groups
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
@@ -153,13 +153,14 @@ class MemorySolution(Solution):
     @cached_property
     def stats(self) -> Statistics:
         taken = self._times.steps if self._taken is None else self._taken
-        return Statistics(
+        statistics = Statistics(
             steps=int(taken if self._ending is None else self._ending.steps),
             evaluations=int(self._state["evaluations"].sum()),
             iterations=int(self._state["iterations"].sum()),
             seconds=self._seconds,
             elapsed=self._elapsed,
         )
+        return with_products(statistics, self)
 
     @cached_property
     def _worst(self) -> Floats:

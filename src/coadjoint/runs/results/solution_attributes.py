@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
@@ -55,6 +55,14 @@ class Statistics:
         summed over the workers.
     elapsed : float
         Wall-clock time of the call: validation, preparation, steps, and writing of an archive. NaN if it is not known.
+    matrix_products : float, optional
+        Products of matrices of the steps of `IsospectralGauss`, in the precision of the states, summed over members;
+        those of recorded Casimirs are not counted. An inverse counts as one, and a skew-Hermitian product as the part
+        that is computed. None for other schemes, whose steps have none; with forces, whose products are not counted;
+        and for runs with events or that have not taken all of their steps, since what they repeated is not stored.
+    lower_products : float, optional
+        Those in single precision, at most: each step that corrected its midpoint is counted with the last correction.
+        None like `matrix_products`.
     """
 
     steps: int
@@ -62,6 +70,18 @@ class Statistics:
     iterations: int
     seconds: float
     elapsed: float = math.nan
+    matrix_products: float | None = None
+    lower_products: float | None = None
+
+
+def with_products(statistics: Statistics, solution: Any) -> Statistics:
+    """Return the statistics of a solution with its products of matrices, if its counts determine them."""
+    if solution.system.forces or solution.events is not None or solution.incomplete is not None:
+        return statistics
+    steps = member_count(solution) * statistics.steps
+    system, counts = solution.system.of_member(0), (statistics.evaluations, statistics.iterations)
+    found = solution.method.matrix_products(system, steps, *counts)
+    return replace(statistics, matrix_products=found[0], lower_products=found[1]) if found else statistics
 
 
 @dataclass_transform(frozen_default=True, eq_default=False)
