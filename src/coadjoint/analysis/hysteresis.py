@@ -101,7 +101,7 @@ def hysteresis(
     Raises
     ------
     TypeError, ValueError
-        Another system, forces, or arguments of other shapes.
+        Another system, forces, arguments of other shapes, or fields across the axis of a twisted lattice.
     RuntimeError
         No equilibrium was found in 50 000 steps.
 
@@ -129,6 +129,8 @@ def hysteresis(
         raise ValueError(f"fields has shape {targets.shape}; give one field (3,) in each row")
     if start.shape != (model.dim,):
         raise ValueError(f"x0 has shape {start.shape}; {model.name} needs ({model.dim},)")
+    if (twist := model._declared.twist) is not None:
+        twist.check_field(targets)
     largest = float(np.linalg.norm(targets, axis=1).max())
     resolution = 1e-3 * largest if tolerance is None else read_positive(tolerance, "tolerance")
     key = read_seed(seed, "seed")
