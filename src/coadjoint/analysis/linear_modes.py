@@ -142,7 +142,7 @@ class LinearModes:
             raise ValueError(f"energies is {short(energies)}; give two or more ascending, equidistant energies")
         finite = np.isfinite(self.intensity)
         weights = np.where(finite, self.intensity, 0.0)
-        each = np.where(finite, self.components, 0.0)
+        each = np.where(finite & np.isfinite(self.components), self.components, 0.0)
         spectrum, components = np.empty((len(self.q), len(grid))), np.empty((3, len(self.q), len(grid)))
         for k, centres in enumerate(self.energies):
             gaussians, sigma = resolution(grid, centres, fwhm)

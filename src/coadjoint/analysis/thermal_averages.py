@@ -167,6 +167,10 @@ def thermal_averages(
     x: Any = None if x0 is None else read_finite(x0, "x0")
     if x is not None and x.shape != (system.dim,):
         raise ValueError(f"x0 has shape {x.shape}; {system.name} needs ({system.dim},)")
+    lengths = np.ones(spins) if x is None else np.linalg.norm(x.reshape(-1, 3), axis=1)
+    parallel = float(np.abs(factors * lengths).sum())
+    if parallel == 0.0:
+        raise ValueError("x0 has length zero at all spins with a weight; give spins of other lengths")
     energies, moments = np.empty((samples, len(points))), np.empty((samples, len(points), 3))
     for k in range(-1 if first else 0, samples):
         states = thermal_states(
@@ -188,7 +192,7 @@ def thermal_averages(
     kT = system.boltzmann * np.atleast_1d(temperatures)
     conjugate = UNITS[system.units].mu_B if isinstance(system, SpinModel) else 1.0
     rows = [
-        _averages(energies[:, chains], moments[:, chains], float(T), spins, float(np.abs(factors).sum()), conjugate)
+        _averages(energies[:, chains], moments[:, chains], float(T), spins, parallel, conjugate)
         for T, chains in zip(kT, np.arange(len(points)).reshape(-1, count), strict=True)
     ]
     columns = []
@@ -204,7 +208,7 @@ def _seed_of_block(key: int, k: int) -> int:
 
 
 def _averages(
-    E: Floats, M: Floats, kT: float, spins: int, largest: float, conjugate: float
+    E: Floats, M: Floats, kT: float, spins: int, parallel: float, conjugate: float
 ) -> list[tuple[float, float]]:
     """Return estimates from energies (samples, members) and moments (samples, members, 3) at one temperature."""
     energy, energy_error = _mean(E)
@@ -213,7 +217,7 @@ def _averages(
     centre = [_mean(M[..., axis]) for axis in range(3)]
     scatter = ((M - [mean for mean, _ in centre]) ** 2).sum(axis=-1)
     width, width_error = _mean(scatter)
-    size = np.linalg.norm(M, axis=-1) / largest
+    size = np.linalg.norm(M, axis=-1) / parallel
     second, fourth = float((size**2).mean()), float((size**4).mean())
     # The variance about the mean of the samples is smaller than that about the truth by the variance of this mean.
     of_mean = energy_error**2 if math.isfinite(energy_error) else 0.0

@@ -31,6 +31,27 @@ def test_the_stoner_wohlfarth_astroid(degrees):
     assert np.abs(torque).max() < 1e-8
 
 
+@pytest.mark.parametrize("length", [0.5, 3.0])
+def test_spins_of_other_lengths_switch_in_proportion(length):
+    """Anisotropy grows with the square of the length, and the energy in a field with the length."""
+    fields = np.array([0.5, -0.9, -1.1])[:, None] * [0, 0, length]
+    loop = co.spins.hysteresis(PARTICLE, fields, (0, 0, -length), tolerance=1e-3)
+    assert np.abs(loop.switching_fields - [0, 0, -length]).max() < 2e-3 * length and len(loop.jumps) == 1
+    assert np.allclose(np.linalg.norm(loop.x, axis=1), length) and abs(loop.magnetization[0, 2] - 1) < 1e-9
+    for k in (0, -1):
+        assert loop.energy[k] == pytest.approx(PARTICLE.field(loop.fields[k]).energy(loop.x[k]), rel=1e-12)
+
+
+def test_coercive_fields_of_a_loop_from_remanence():
+    """They are where the part along the largest field changes sign, also in a loop that starts at zero or across."""
+    fields = swept(np.radians(20))
+    known = co.spins.hysteresis(PARTICLE, fields, (0, 0, -1.0), tolerance=5e-4).coercive_fields
+    for first in ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)):
+        loop = co.spins.hysteresis(PARTICLE, [first, *fields], (0, 0, -1.0), tolerance=5e-4)
+        assert len(known) == len(loop.coercive_fields) == 2
+        assert np.allclose(loop.coercive_fields, known, atol=1e-3)
+
+
 def test_a_loop_across_the_axis_has_no_jump():
     loop = co.spins.hysteresis(PARTICLE, swept(np.pi / 2, count=41), (0, 0, -1.0))
     inside = np.abs(loop.fields[:, 0]) < 0.999
@@ -73,6 +94,22 @@ def test_dipoles_and_repetition():
     assert abs(loops[0].energy[-1] - last.energy(loops[0].x[-1])) < 1e-12
     # Opposite rotation needs no field energy: the mode with both spins turned in opposite senses softens at B = 1.
     assert np.abs(loops[0].switching_fields[0, 0] + 1.0) < 5e-3
+
+
+def test_twisted_lattices_take_fields_along_their_axis():
+    """A spiral in an easy plane closes to a cone of the pitch of the twist; a field across the axis is refused."""
+    line = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"A": (0, 0, 0)}, space_group="P 1")
+    model = co.systems.spins(line, (4, 1, 1), g=1.0, twist=(0.8, 0, 0), axis=(0, 0, 1.0))
+    model = model.exchange(line.bonds(1)["1"], -1.0).single_ion("A", np.diag([0, 0, 0.1]))
+    turn = 0.2 * np.arange(4)
+    x0 = np.stack([np.cos(turn), np.sin(turn), 0.1 + 0 * turn], axis=1)
+    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
+    loop = co.spins.hysteresis(model, [(0, 0, 0.01), (0, 0, 0.02)], x0.ravel())
+    cosine = loop.fields[:, 2] / (2 * (0.1 - 1 + np.cos(0.2)))
+    assert np.allclose(loop.magnetization[:, 2], cosine, atol=1e-6)
+    for field in ((0.01, 0, 0), (0, 0.001, 0.01)):
+        with refused(ValueError, "twist"):
+            co.spins.hysteresis(model, [(0, 0, 0.01), field], x0.ravel())
 
 
 @pytest.mark.parametrize(
@@ -130,9 +167,10 @@ def test_the_barrier_of_a_pair(J):
         basins = label(energy <= level)[0]
         low, high = (low, level) if basins[ends[0]] == basins[ends[1]] else (level, high)
     assert abs(path.barrier - (high - energy[ends[0]])) < 1e-4
-    if J == 2.0:  # both spins turn together; the mode in which they turn apart is stiffer at the minimum
+    if J == 2.0:  # both spins turn together, each by pi; the mode in which they turn apart is stiffer at the minimum
         together, apart, there = (2 * np.sqrt(a * b) for a, b in ((1, 2), (1 + J, 2 + J), (J - 1, J + 1)))
         assert abs(path.attempt_frequency / (together * apart / there / (2 * np.pi)) - 1) < 1e-6
+        assert abs(path.distance[-1] - np.sqrt(2) * np.pi) < 0.03
     gradient = pair.vector_field(path.saddle)
     assert np.abs(gradient).max() < 1e-9
 

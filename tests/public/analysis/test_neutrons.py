@@ -139,6 +139,7 @@ def test_temperature_gives_detailed_balance():
     factor = np.where(x == 0, 1, x / np.where(x == 0, 1, -np.expm1(-x)))
     np.testing.assert_allclose(S.intensity, plain.intensity * factor, rtol=1e-12)
     np.testing.assert_allclose(S.error, plain.error * factor, rtol=1e-12)
+    np.testing.assert_allclose(S.components, plain.components * factor, rtol=1e-12)
     assert np.array_equal(S.static, plain.static)
     kept = slice(1, None) if len(S.omega) % 2 == 0 else slice(None)
     loss, gain = S.intensity[:, kept], S.intensity[::-1, kept][:, ::-1]
@@ -211,6 +212,20 @@ def test_powders_are_means_over_shells():
     assert np.allclose(S.distance, [0.7, 1.2, 1.65]) and S.q.shape == (3, 1)
 
 
+def test_shells_of_a_very_oblique_lattice_are_whole():
+    """h reaches |a| q / (2 pi), whatever the height of the cell across the other edges."""
+    crystal = co.spins.crystal(lattice=(2, 2, 3, 90, 90, 150), sites={"Fe": (0, 0, 0)}, space_group="P 1")
+    model = co.systems.spins(crystal, (4, 4, 1), units="meV").field((0, 0, 2.0))
+    sol, edges = a_run(model, members=1, span=(0, 1)), (1.0, 2.5, 4.0)
+    S = co.spectra.structure_factor(sol, co.spectra.Powder(edges), None)
+    h = np.stack(np.meshgrid(*(np.arange(-12, 13),) * 3, indexing="ij"), axis=-1).reshape(-1, 3) / (4, 4, 1)
+    lengths = lengths_of(h, crystal)
+    for shell in range(2):
+        q = h[(lengths >= edges[shell]) & (lengths < edges[shell + 1])]
+        expected = by_hand(sol, model, q, S.omega, np.ones((len(q), 16)), polarized=False).mean(axis=0)
+        np.testing.assert_allclose(S.intensity[shell], expected, rtol=1e-8, atol=1e-9 * expected.max())
+
+
 def test_powders_of_modes_have_all_directions():
     """The polarization factor (1 + e_z^2) / 2 of spins along z has the mean 2/3, and the moments g S."""
     crystal = co.spins.crystal(lattice=(2, 3, 4, 75, 80, 110), sites={"Mn": (0, 0, 0)})
@@ -225,10 +240,22 @@ def test_powders_of_modes_have_all_directions():
     )
     bosons = 1 / np.expm1(cold.energies / (MEV["k_B"] * T))
     np.testing.assert_allclose(warm.intensity, cold.intensity * (1 + bosons), rtol=1e-10)
+    np.testing.assert_allclose(warm.components, cold.components * (1 + bosons), rtol=1e-10)
     spectrum = cold.spectrum(np.linspace(-1, 6, 701), 0.1)
     np.testing.assert_allclose(spectrum.intensity.sum(axis=1) * 0.01 / MEV["hbar"], spectrum.static, rtol=1e-6)
     figure = spectrum.plot()
     assert "q" in figure.axes[0].get_xlabel() and "meV" in figure.axes[0].get_ylabel()
+
+
+def test_infinite_parts_that_neutrons_do_not_see_are_left_out_of_spectra():
+    """Turns in an easy plane that cost no energy move spins along q: their polarization factor is zero."""
+    line = co.spins.crystal(lattice=(1, 2, 2, 90, 90, 90), sites={"Cu": (0, 0, 0)}, space_group="P 1")
+    model = co.systems.spins(line, (4, 1, 1)).exchange(line.bonds(1)["1"], 1.0).single_ion("Cu", np.diag([0, 0, 0.3]))
+    path, energies = [(0.25, 0, 0), (0.5, 0, 0)], np.linspace(0, 4, 41)
+    modes = co.spectra.linear_modes(model, [0, 1, 0, 0, -1, 0] * 2, path, 4, co.spectra.Neutrons())
+    assert np.isinf(modes.components[0, -1, 0]) and modes.intensity[-1, 0] == 0.0
+    S = modes.spectrum(energies, 0.1)
+    assert np.isfinite(S.components).all() and np.allclose(S.intensity[-1], S.components[2, -1], rtol=1e-9)
 
 
 def test_resolution_of_an_instrument():
@@ -328,6 +355,9 @@ RING = co.integrate(co.systems.spin_lattice("ring", 4), [0, 0, 1] * 4, (0, 1), 0
         (r"domains\[1\] is .* not orthogonal", lambda: co.spectra.Neutrons(domains=[np.eye(3), 2 * np.eye(3)])),
         (r"form_factors has Fe; give each of Fe, Ni once",
          lambda: co.spectra.structure_factor(RUN, PATH, neutrons=co.spectra.Neutrons({"Fe": "Fe2+"}))),
+        (r"form_factors is given for a model with substituted ions",
+         lambda: co.spectra.linear_modes(
+             tetragonal().substitute("Mn", 0.5, seed=1, spin=2.0), UP, PATH, 1, co.spectra.Neutrons({"Mn": "Mn2+"}))),
         (r"unknown label 'Co'; there are: Fe, Ni",
          lambda: co.spectra.structure_factor(RUN, PATH, neutrons=co.spectra.Neutrons({"Fe": "Fe2+", "Co": "Co2+"}))),
         (r"path, turned by a domain, has the corner .*, which does not fit",
@@ -376,7 +406,7 @@ def test_what_is_refused(words, call):
         (r"form_factors is 'Fe2\+'", lambda: co.spectra.Neutrons("Fe2+")),
     ],
 )
-def test_what_has_a_wrong_type(words, call):
+def test_what_is_refused_by_its_type(words, call):
     with pytest.raises(TypeError, match=words):
         call()
 

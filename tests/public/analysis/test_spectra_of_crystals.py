@@ -61,7 +61,7 @@ def test_spectra_by_hand(models, span):
 
 
 @pytest.mark.parametrize("layout", [{"lattice": "square"}, {"lattice": "square", "shape": (4,)}])
-def test_layouts_without_a_fitting_shape(layout):
+def test_layouts_without_a_fitting_shape_are_refused(layout):
     ring = co.systems.spin_lattice("ring", 4)
     system = co.LiePoissonSystem(ring.algebra, ring.hamiltonian, layout=layout)
     sol = co.integrate(system, directions(ring), (0, 2), 0.05, save_every=4)

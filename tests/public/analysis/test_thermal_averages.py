@@ -50,6 +50,9 @@ def test_error_bars_hold_the_truth(case):
         assert abs(z.mean()) < 0.35, name
         scatter = np.std(getattr(found, name).value)
         assert 0.7 < scatter / np.median(getattr(found, name).error) < 1.3, name
+    for name in ("magnetization", "binder"):
+        estimate = getattr(found, name)
+        assert 0.7 < np.std(estimate.value) / np.median(estimate.error) < 1.3, name
 
 
 def test_units_of_a_model_and_of_its_order():
@@ -71,6 +74,22 @@ def test_units_of_a_model_and_of_its_order():
     u = langevin(1 / 0.2)
     for one, sign in ((aligned, -1), (opposite, 1)):
         assert abs(z_scores(one.susceptibility, (2 + sign * 2 * u) / (6 * 0.2))) < 4
+
+
+@pytest.mark.parametrize("length", [1.0, 2.0])
+def test_the_magnetization_is_relative_to_parallel_spins(length):
+    """Of one free ion, <|S|> is its length at every temperature, whatever its moment and the length of its state."""
+    cell = co.spins.crystal(lattice=(3, 3, 3, 90, 90, 90), sites={"Mn": (0, 0, 0)}, space_group="P 1")
+    ion = co.systems.spins(cell, (1, 1, 1), spin=2.5, g=-2.0, units="meV").field((0, 0, 3.0))
+    for system, weights in ((ion, None), (ion, (-7.0,)), (co.systems.spin_lattice([], 1, field=(0, 0, 1.0)), None)):
+        x0 = (0.0, 0.0, length)
+        found = co.spins.thermal_averages(system, 2.0, seed=4, sweeps=80, start=2, members=2, weights=weights, x0=x0)
+        assert abs(found.magnetization.value - 1.0) < 1e-14
+    # Of two in a strong field, whose spins are nearly parallel.
+    pair = co.systems.spin_lattice([], 2, field=(0, 0, 100.0))
+    x0 = (0, 0, length, 0, 0, 0.5)
+    found = co.spins.thermal_averages(pair, 0.1, seed=4, sweeps=80, start=5, x0=x0)
+    assert 0.995 < found.magnetization.value < 1.0
 
 
 def test_same_seed_same_numbers_and_chains_at_all_temperatures():
@@ -108,6 +127,7 @@ def test_the_curie_temperature_of_the_cubic_lattice():
         ({"system": co.systems.rigid_body((1, 2, 3)), "members": 0}, "members"),
         ({"system": co.systems.heavy_top()}, "not made of spins"),
         ({"x0": np.ones(5)}, "x0"),
+        ({"system": co.systems.spin_lattice([], 2), "weights": (1, 0), "x0": (0, 0, 0, 0, 0, 1)}, "length zero"),
     ],
 )
 def test_averages_that_are_refused(given, words):

@@ -207,6 +207,23 @@ def test_other_files_of_vtk_are_refused(tmp_path):
             co.spins.read_vtk(tmp_path / "m.vts")
 
 
+def test_other_image_data_is_refused(tmp_path):
+    """Meshes along other axes or without lengths, numbers in an unknown order, and meshes of several parts."""
+    co.spins.write_vtk(tmp_path / "good.vti", unit_vectors().ravel(), NODES, cell=CELL)
+    good = (tmp_path / "good.vti").read_text()
+    for old, new, words in [
+        ("<ImageData ", '<ImageData Direction="0 1 0 1 0 0 0 0 1" ', "Direction"),
+        ('Spacing="', 'Spacing="-', "Spacing"),
+        ("LittleEndian", "MiddleEndian", "byte_order"),
+        ('"UInt64"', '"Int64"', "header_type"),
+        ("</Piece>", '</Piece><Piece Extent="0 4 0 3 0 2"></Piece>', "2 pieces"),
+    ]:
+        assert old in good
+        (tmp_path / "m.vti").write_text(good.replace(old, new))
+        with refused(ValueError, "m.vti", words):
+            co.spins.read_vtk(tmp_path / "m.vti")
+
+
 def test_damaged_files_of_vtk_are_read_or_refused(tmp_path):
     rng = np.random.default_rng(2)
     for form in ("ascii", "binary"):

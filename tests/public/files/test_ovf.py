@@ -205,7 +205,7 @@ def test_other_meshes_and_files_are_refused(tmp_path):
         ({"spins": np.full(12, np.nan)}, "finite"),
     ],
 )
-def test_states_and_cells_that_cannot_be_written(tmp_path, given, words):
+def test_states_and_cells_that_are_refused(tmp_path, given, words):
     good = {"path": "m.ovf", "spins": np.ones(12), "shape": (2, 2), "cell": (1e-9,) * 3} | given
     with refused(ValueError, words):
         co.spins.write_ovf(**good | {"path": tmp_path / good["path"]})

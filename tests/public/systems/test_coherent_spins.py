@@ -277,6 +277,16 @@ def test_thermal_states_of_coupled_sites():
     assert np.allclose([model.energy(x) for x in states.x[:3]], states.energy[-1, :3], atol=1e-12)
 
 
+@pytest.mark.parametrize("extra", [0, 1])
+def test_states_without_energy_stay_uniform(extra):
+    """Means of the uniform distribution: none of traceless operators, and tr(A B) / (N (N + 1)) of <A><B>."""
+    model = co.systems.spins(CHAIN, (1, 1, 1), spin=1, periodic=False, mode="SU(N)").field((0, 0, 1e-9))
+    count = 20_000
+    x = co.thermal_states(model, 1.0, members=count, sweeps=2, seed=6, over_relaxation=extra).x
+    for values, mean in ((x.T, 0.0), ((x[:, :, None] * x[:, None]).reshape(count, -1).T, np.eye(8).ravel() / 6)):
+        assert np.all(abs(values.mean(axis=1) - mean) < 5 * values.std(axis=1) / np.sqrt(count))
+
+
 def spin_waves(reference, Z):
     """Return the frequencies of generalized spin waves: Bogoliubov modes of the amplitudes across a product state."""
     count, N = Z.shape
@@ -490,7 +500,7 @@ def test_meetings(tmp_path):
         (lambda m: co.integrate(m, m.random(1), (0, 1), 0.1, co.SphericalMidpoint()), "copies of so(3)"),
     ],
 )
-def test_refusals(call, words):
+def test_what_is_refused(call, words):
     model = co.systems.spins(CHAIN, (3, 1, 1), spin=1, mode="SU(N)")
     with refused(ValueError, words):
         call(model)

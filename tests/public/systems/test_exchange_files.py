@@ -220,8 +220,10 @@ def test_tables_and_models_that_do_not_fit(tmp_path):
     with refused(ValueError, "exchange"):
         model.exchange(table).exchange(table)
     bond = next(b for b in CRYSTAL.bonds(3.1) if b.first == b.second == 0)
-    with refused(ValueError, "file", "once"):
-        model.exchange(table).exchange(bond, 1.0)
+    (tmp_path / "back.csv").write_text("i,j,n1,n2,n3,J\n0,0,-1,0,0,1\n")
+    for one in (table, co.spins.read_exchange(tmp_path / "back.csv", CRYSTAL)):  # from either end of the bond
+        with refused(ValueError, "file", "once"):
+            model.exchange(one).exchange(bond, 1.0)
     added = model.exchange(table).dzyaloshinskii_moriya(bond, (0, 0, 1.0))
     assert added.energy(np.tile([0.0, 0, 1], 54)) == model.exchange(table).energy(np.tile([0.0, 0, 1], 54))
     bond = next(b for b in CRYSTAL.bonds(6) if b.first != b.second)

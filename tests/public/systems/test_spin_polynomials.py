@@ -264,8 +264,10 @@ def test_temperature_and_equilibrium():
 
     pair = co.systems.spins(TETRAGONAL, (2, 1, 1), periodic=False).exchange(BOND, 0.4).biquadratic(BOND, -1.0)
     ion = co.systems.spins(TETRAGONAL, (1, 1, 1), spin=S).single_ion("Mn", {"B20": -0.1, "B40": 0.05})
+    alone = co.systems.spins(TETRAGONAL, (2, 1, 1), periodic=False).biquadratic(BOND, -1.0)
     cases = (
         (pair, mean(lambda u: 0.4 * u - u * u)),
+        (alone, mean(lambda u: -u * u)),  # without exchange on its bond
         (ion, mean(lambda z: -0.1 * S**2 * (3 * z * z - 1) + 0.05 * S**4 * (35 * z**4 - 30 * z * z + 3))),
     )
     for system, expected in cases:
