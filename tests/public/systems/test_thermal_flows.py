@@ -106,6 +106,16 @@ def test_fields_are_inverses_of_each_other(name):
 
 
 @EACH
+def test_conversions_leave_what_they_are_given(name):
+    s = FLOWS[name]
+    x = start_of(s)
+    for convert in (s.absolute, s.relative, s.potential, s.from_potential):
+        given = x.copy()
+        convert(given)
+        assert given.tobytes() == x.tobytes()
+
+
+@EACH
 def test_casimirs_and_the_energy(name):
     s = FLOWS[name]
     x0, errors = start_of(s), []
