@@ -38,6 +38,9 @@ def test_values_have_the_bits_of_the_run(g):
     other = prepared(INERTIA).run(MANY, SPAN, EVERY).x
     assert np.array_equal(g(torch.tensor(MANY), inertia=torch.tensor(INERTIA)), other)
     assert np.array_equal(g((1, 0, 1)), g(torch.tensor([1, 0, 1])))  # whole numbers
+    batch = co.batch([prepared().system, co.systems.rigid_body(INERTIA)])
+    of_batch = co.torch.solution(batch, SPAN, EVERY, method=co.Splitting(order=4), step=0.05)(MANY[:2])
+    assert np.array_equal(of_batch[:, 1], prepared(INERTIA).run(MANY[1], SPAN, EVERY).x)
     x = g(X0)
     x.zero_()
     assert np.array_equal(g(X0), prepared().run(X0, SPAN, EVERY).x)
