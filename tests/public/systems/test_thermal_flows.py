@@ -106,6 +106,13 @@ def test_fields_are_inverses_of_each_other(name):
 
 
 @EACH
+def test_the_parameters_make_the_system_again(name):
+    s = FLOWS[name]
+    again = S.thermal_qg(**s.parameters)
+    np.testing.assert_array_equal(again.vector_field(start_of(s)), s.vector_field(start_of(s)))
+
+
+@EACH
 def test_conversions_leave_what_they_are_given(name):
     s = FLOWS[name]
     x = start_of(s)
