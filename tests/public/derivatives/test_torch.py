@@ -328,6 +328,9 @@ LEARNED = {
     "no energy": (lambda: co.torch.solution(prepared(), (0, 1))(X0, params={}), ValueError, ["co.torch.energy"]),
     "no step": (lambda: body(co.torch.energy(modules()), step=None), TypeError, ["step="]),
     "own step": (lambda: co.torch.solution(prepared(), (0, 1), step=0.1), TypeError, ["prepared run", "omit"]),
+    "own method": (
+        lambda: co.torch.solution(prepared(), (0, 1), method=co.Splitting()), TypeError, ["prepared run", "omit"]
+    ),
     "parts": (lambda: body(co.torch.energy(modules()), method=co.Splitting()), TypeError, ["take", "GaussLegendre"]),
     "forces": (
         lambda: co.torch.solution(
