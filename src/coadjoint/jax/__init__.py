@@ -12,6 +12,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.differentiable_run import REVERSES
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
@@ -292,7 +293,7 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
 
 
 def solution(
-    ready: PreparedRun | System,
+    ready: PreparedRun | System | Batch,
     t_span: tuple[float, float],
     save_every: int = 1,
     *,
@@ -310,9 +311,9 @@ def solution(
 
     Parameters
     ----------
-    ready : PreparedRun or System
-        The prepared run, with a step, of a scheme with derivatives; or a system, with `step` and `method` as in
-        `prepare`.
+    ready : PreparedRun, System or Batch
+        The prepared run, with a step, of a scheme with derivatives; or a system or batch, with `step` and `method` as
+        in `prepare`.
     t_span, save_every, t_eval
         As in `PreparedRun.run`.
     method, step

@@ -232,6 +232,19 @@ def test_fewer_measurements_than_unknowns_are_refused():
     np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("measured", "sigma", "named"),
+    [
+        ({}, {}, ("measured is {}", "'x'", "numbers")),
+        (np.zeros((11, 3)), {"x": SIGMA}, ("measured is", "mapping", "numbers")),
+        ({"attitude": np.zeros((11, 3, 3))}, SIGMA, ("sigma is 0.01", "'attitude'", "standard deviations")),
+    ],
+)
+def test_what_is_no_mapping_is_named(measured, sigma, named):
+    with refused(TypeError, *named):
+        co.fit(body(), X0, (0.0, 1.0), measured, {"x0": True}, sigma=sigma)
+
+
 @pytest.mark.filterwarnings("ignore:inertia:UserWarning")
 def test_trial_steps_outside_of_the_parameters_are_shortened():
     """The first step of Gauss and Newton leads to a negative moment of inertia, which the system refuses."""

@@ -335,9 +335,10 @@ LEARNED = {
     "depth": (lambda: co.jax.PoissonMap(get("so(3)"), 0), ValueError, ["depth", "0"]),
     "widths": (lambda: co.jax.PoissonMap(get("so(3)"), 2, 16), TypeError, ["widths", "16"]),
     "algebra": (lambda: co.jax.PoissonMap(SYSTEM, 2), TypeError, ["algebra", "LieAlgebra"]),
-    "two": (lambda: two(), TypeError, ["different params", "one pytree"]),
+    "two": (lambda: two(), TypeError, ["different params", "one tree"]),
     "no step": (lambda: co.jax.solution(SYSTEM, (0, 1)), TypeError, ["step="]),
     "own step": (lambda: co.jax.solution(ready(), (0, 1), step=0.1), TypeError, ["prepared run", "omit"]),
+    "own method": (lambda: co.jax.solution(ready(), (0, 1), method=GAUSS), TypeError, ["prepared run", "omit"]),
     "backend": (lambda: run_of(backend="compiled")(np.ones(3), params=weights(3)), ValueError, ['backend="xla"']),
     "structure": (lambda: run_of()(np.ones(3), params={"in": np.ones(3)}), ValueError, ["structure", "out"]),
     "other shape": (

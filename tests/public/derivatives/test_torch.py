@@ -38,6 +38,9 @@ def test_values_have_the_bits_of_the_run(g):
     other = prepared(INERTIA).run(MANY, SPAN, EVERY).x
     assert np.array_equal(g(torch.tensor(MANY), inertia=torch.tensor(INERTIA)), other)
     assert np.array_equal(g((1, 0, 1)), g(torch.tensor([1, 0, 1])))  # whole numbers
+    batch = co.batch([prepared().system, co.systems.rigid_body(INERTIA)])
+    of_batch = co.torch.solution(batch, SPAN, EVERY, method=co.Splitting(order=4), step=0.05)(MANY[:2])
+    assert np.array_equal(of_batch[:, 1], prepared(INERTIA).run(MANY[1], SPAN, EVERY).x)
     x = g(X0)
     x.zero_()
     assert np.array_equal(g(X0), prepared().run(X0, SPAN, EVERY).x)
@@ -247,12 +250,30 @@ def test_modules_are_those_of_compiled_runs_and_of_functions():
     )
     for name, one in module.named_parameters():
         np.testing.assert_allclose(one.grad, each[name].sum(0), rtol=0, atol=1e-14)
-    # The parameters of the system are a copy.
-    before = run(X0)
+
+
+def test_the_parameters_of_a_system_are_a_copy():
+    module = modules()
+    params = dict(module.named_parameters())
+    tensors = {name: one.detach().clone() for name, one in params.items()}
+    systems = [
+        co.LiePoissonSystem(co.algebras.so(3), H)
+        for H in (co.torch.energy(module), co.torch.energy(lambda x, p: module_of(p, x), tensors))
+    ]
+    before = [system.energy(X0) for system in systems]
+    runs = [co.torch.solution(one, (0, 1), method=co.GaussLegendre(1), step=0.25) for one in systems]
+    states = [run(X0) for run in runs]
     with torch.no_grad():
         module[0].weight.mul_(2.0)
-    assert np.array_equal(run(X0), before)
-    assert not np.allclose(run(X0, params=dict(module.named_parameters())).detach(), before)
+        tensors["0.weight"].mul_(2.0)
+    for run, system, energy, x in zip(runs, systems, before, states, strict=True):
+        assert system.energy(X0) == energy and np.array_equal(run(X0), x)
+        assert not np.allclose(run(X0, params=params).detach(), x)
+
+
+def module_of(params, x):
+    """The energy of `modules` as a function of its parameters."""
+    return (params["2.weight"] @ torch.tanh(params["0.weight"] @ x)).sum()
 
 
 def test_derivatives_of_learned_runs_of_every_order_are_differences():
@@ -307,6 +328,9 @@ LEARNED = {
     "no energy": (lambda: co.torch.solution(prepared(), (0, 1))(X0, params={}), ValueError, ["co.torch.energy"]),
     "no step": (lambda: body(co.torch.energy(modules()), step=None), TypeError, ["step="]),
     "own step": (lambda: co.torch.solution(prepared(), (0, 1), step=0.1), TypeError, ["prepared run", "omit"]),
+    "own method": (
+        lambda: co.torch.solution(prepared(), (0, 1), method=co.Splitting()), TypeError, ["prepared run", "omit"]
+    ),
     "parts": (lambda: body(co.torch.energy(modules()), method=co.Splitting()), TypeError, ["take", "GaussLegendre"]),
     "forces": (
         lambda: co.torch.solution(

@@ -637,6 +637,10 @@ def test_members_of_a_batch_have_their_own_constants(method):
     for backend in ("xla", "compiled"):
         with refused(ValueError, "x0", "(2, 3)", "(3, 3)"):
             co.jax.solution(ready, (0, 1), 5, backend=backend)(states[:2])
+        of_batch = co.jax.solution(BODIES, (0, 1), 5, method=method, step=0.1, backend=backend)
+        np.testing.assert_allclose(of_batch(states), sol.x, rtol=0, atol=tolerance)
+    with refused(TypeError, "batch", "without a step"):
+        co.jax.solution(BODIES, (0, 1))
 
 
 @pytest.mark.parametrize(

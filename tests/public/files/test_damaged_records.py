@@ -280,6 +280,21 @@ def test_a_damaged_entry_is_named(number):
     assert len(str(caught.value)) < 500 and str(caught.value).isprintable()
 
 
+def test_monomials_of_few_coordinates_are_checked():
+    """As they are stored of spins with couplings of degree four: pairs of a coordinate and an exponent."""
+
+    def read_with(*monomials):
+        sparse = {"kind": "sparse polynomial", "dim": 3, "monomials": list(monomials)}
+        return read(system_with("a polynomial", lambda r: r.update(hamiltonian=sparse)))
+
+    square, product = [[0, 2]], [[0, 1], [2, 3]]
+    found = read_with([1.5, square], [2.0, product])["system"]
+    assert found.energy(X) == pytest.approx(1.5 * X[0] ** 2 + 2.0 * X[0] * X[2] ** 3, rel=1e-15)
+    for second in (square, product[::-1], [[0, 1], [0, 1]], [[3, 1]], [[0, 0]], [[0, 600], [1, 600]], [[0, -1]], [[0]]):
+        with refused(ValueError, "system.hamiltonian.monomials[1][1]"):
+            read_with([1.0, square], [2.0, second])
+
+
 @pytest.mark.parametrize(
     ("key", "inside", "beyond", "said"),
     [

@@ -252,6 +252,9 @@ def test_forces_that_keep_the_energy_do_not_break_it():
     assert found.energy and found.broken_by == ("Poisson map: SelectiveDecay", "Casimirs: SelectiveDecay")[1:]
     sol = co.integrate(kept, (0.6, 0.5, -0.3), (0, 20), 2**-5, base, save_every=64)
     assert sol.change()["energy"] < 1e-13
+    # A scheme that changes the energy changes it beside such forces too, and none of these is to blame.
+    split = co.methods.Forced(co.Splitting()).properties(kept)
+    assert not split.energy and not any(text.startswith("energy") for text in split.broken_by)
     lost = co.methods.Forced(base).properties(kept.with_forces(co.forces.LinearDamping(0.1)))
     assert not lost.energy and lost.broken_by[0] == "energy: LinearDamping"
     # The midpoint rule of the decay preserves no other energy than quadratic ones.

@@ -288,6 +288,19 @@ def test_drag_of_one_layer_acts_on_its_relative_vorticity(name, span):
     )
 
 
+def test_viscosity_of_one_layer_keeps_solid_rotations_unless_told_otherwise():
+    """Layers that rotate about the axis of the sphere at their own rates are steady, also in compiled steps."""
+    s = FLOWS["three layers"]
+    x0 = s.absolute([s.fluid.from_modes({(1, 0): c}) for c in (0.5, -0.2, 0.3)])
+    for rotation in (False, True):
+        forced = s.with_forces(co.forces.Viscosity(0.1, rotation=rotation, layer=2))
+        change = co.integrate(forced, x0, (0, 1), 0.25, co.IsospectralGauss()).x[-1] - x0
+        slope = s.from_vector(forced.forces[0].field(s, s.to_vector(x0), 0.0))
+        for found in (change, slope):
+            assert np.abs(found[:2]).max() < 1e-13
+            assert (np.abs(found[2]).max() > 1e-2) if rotation else (np.abs(found[2]).max() < 1e-13)
+
+
 def test_drag_of_the_lowest_layer_always_lowers_the_energy(tmp_path):
     """By H_k r times the integral of its |u_k|^2; steps of the flow of the force alone are exact."""
     s = FLOWS["two layers"]

@@ -106,6 +106,23 @@ def test_fields_are_inverses_of_each_other(name):
 
 
 @EACH
+def test_the_parameters_make_the_system_again(name):
+    s = FLOWS[name]
+    again = S.thermal_qg(**s.parameters)
+    np.testing.assert_array_equal(again.vector_field(start_of(s)), s.vector_field(start_of(s)))
+
+
+@EACH
+def test_conversions_leave_what_they_are_given(name):
+    s = FLOWS[name]
+    x = start_of(s)
+    for convert in (s.absolute, s.relative, s.potential, s.from_potential):
+        given = x.copy()
+        convert(given)
+        assert given.tobytes() == x.tobytes()
+
+
+@EACH
 def test_casimirs_and_the_energy(name):
     s = FLOWS[name]
     x0, errors = start_of(s), []
@@ -124,6 +141,15 @@ def test_casimirs_and_the_energy(name):
     # the integral of q f(b), and not of q^2, is constant
     assert np.ptp(np.sum(np.abs(sol.x[:, 1]) ** 2, axis=(-2, -1))) > 1e-2
     assert bool(s.integrals) == (name == "of latitude")
+
+
+@pytest.mark.parametrize(("mode", "is_zonal"), [((3, 0), True), ((3, 2), False)])
+def test_ridges_across_the_latitudes_break_the_angular_momentum(mode, is_zonal):
+    s = S.thermal_qg(9, 3.0, 1.5, {(2, 0): 0.1}, {mode: 0.4})
+    assert bool(s.integrals) == is_zonal
+    sol = co.integrate(s, start_of(s), (0, 1), 0.0625, co.IsospectralGauss())
+    found = S.thermal_qg(9, 3.0, 1.5, {(2, 0): 0.1}).integrals["angular momentum z"](sol.x)
+    assert (np.ptp(found) < 1e-11) == is_zonal
 
 
 @EACH
@@ -283,6 +309,10 @@ def test_files_datasets_and_pictures(name, tmp_path):
     np.testing.assert_allclose(
         fields.isel().stream_function, fluid.to_grid(s.stream_of(last)[0], absolute=True), atol=1e-12
     )
+    velocities = [name for name in fields if name.endswith("_velocity")]
+    wanted = fluid.velocity(s.fluid_state(last), fields.vorticity.shape)
+    for key, component in zip(velocities, wanted, strict=True):
+        np.testing.assert_allclose(fields[key], component, rtol=0, atol=1e-12)
     for options in ({}, {"part": "carried"}, {"part": "potential"}, {"part": "stream"}, {"part": "large"}):
         whole.plot([co.plotting.Picture("vorticity", **options)])
     energies = fluid.energy_spectrum(s.fluid_state(last))[1]

@@ -17,6 +17,7 @@ from coadjoint.runs.error_estimates import warn_of_large_step
 from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.parameters import parameters_at, with_parameters
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import is_called_in_python
@@ -30,8 +31,8 @@ CHECKED_MEMBERS, CHECKED_CALLS, CHECKED_ROWS = 64, 100, 128
 
 
 def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
-    """Return a prepared run, or that of a system with a method and a step; `caller` is the function that takes both."""
-    if isinstance(ready, System):
+    """Return a prepared run, or that of a system or batch with a method and a step; `caller` takes them."""
+    if isinstance(ready, System | Batch):
         if step is None:
             raise TypeError(f"{caller} was given {short(ready)} without a step; give step=, and method=")
         return PreparedRun(ready, method, step)
