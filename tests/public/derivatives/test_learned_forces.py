@@ -228,7 +228,7 @@ REFUSED = {
         lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["direction"]
     ),
     "matrices": (lambda: with_force(co.jax.torque(lambda x, p: x, {}), matrices()), TypeError, ["co.jax.torque"]),
-    "other params": (of_other_params, TypeError, ["co.jax.energy", "co.jax.torque", "one pytree"]),
+    "other params": (of_other_params, TypeError, ["co.jax.energy", "co.jax.torque", "one tree"]),
 }  # fmt: skip
 
 
