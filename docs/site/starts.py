@@ -31,7 +31,7 @@ x0 = system.absolute([jet, 0 * jet])""",
     "thermal_qg": """\
 b = system.fluid.from_modes({(2, 0): -1.0, (1, 0): 0.3}, absolute=True)
 small = system.fluid.relative(system.fluid.random(seed=2, degrees=(3, 8)))
-x0 = system.absolute([b, 0.2 * np.asarray(small)])""",
+x0 = system.absolute([b, 0.2 * small])""",
     "lorenz_1960": SPHERE.format(count=14, factor="") + " * (1, 1, 0.5**0.5)",
     "matrix_body": """\
 x0 = np.zeros((5, 5))

@@ -22,7 +22,7 @@ def start_of(s, seed=1, size=1.0):
     """Return a state of random buoyancy and relative vorticity."""
     plain = S.sphere_euler(9) if s.parameters["surface"] == "sphere" else S.torus_euler(9)
     b, W = (size * plain.random(seed=seed + k, degrees=(1, 4)) for k in range(2))
-    return s.absolute([b, W])
+    return s.absolute(np.stack([b, W]))
 
 
 def sine_of(s):
@@ -303,7 +303,7 @@ def test_files_datasets_and_pictures(name, tmp_path):
     fields, fluid = whole.to_xarray(grid=True).isel(time=-1), s.fluid
     last = whole.x[-1]
     b, W = (fluid.from_grid(fields[key].values, absolute=True) for key in ("buoyancy", "vorticity"))
-    np.testing.assert_allclose(s.absolute([b, W]), last, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(s.absolute(np.stack([b, W])), last, rtol=0, atol=1e-11)
     q = fluid.from_grid(fields.potential_vorticity.values, absolute=True)
     np.testing.assert_allclose(s.from_potential([b, q]), last, rtol=0, atol=1e-11)
     np.testing.assert_allclose(
@@ -341,3 +341,12 @@ def test_what_is_refused():
         S.thermal_qg(8, bathymetry=lambda latitude, longitude: 1.0 + np.sin(latitude))
     with refused(TypeError, "thermal_qg"):
         co.equilibrium(s, start_of(s))
+
+
+@pytest.mark.parametrize("s", [*FLOWS.values(), S.passive_scalar(9, rotation=0.5)], ids=[*FLOWS, "dye"])
+def test_a_state_of_the_fluid_is_no_relative_vorticity(s):
+    b, W = s.fluid.random(seed=1), s.fluid.random(seed=2)
+    found = s.absolute([b, s.fluid.relative(W)])
+    np.testing.assert_allclose(s.fluid_state(found), W, rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match=r"give fluid\.relative"):
+        s.absolute([b, W])

@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.fluid_system import FluidSystem, RelativeVorticity
 from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD
 from coadjoint.systems.matrices.matrix_invariants import traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS
@@ -112,8 +112,22 @@ class TwoLayerSystem(StackedSystem):
         return self._in_frame(x, "relative")
 
     def absolute(self, X: Any) -> Matrix:
-        """Return the states of a carried field and a vorticity relative to the frame; inverse of `relative`."""
+        """Return the states of a carried field and a vorticity relative to the frame; inverse of `relative`.
+
+        Of a list of two matrices the second is one of ``fluid.relative``; states of `fluid` are refused in its place.
+        """
+        self._check_relative(X)
         return self._in_frame(X, "absolute")
+
+    def _check_relative(self, X: Any) -> None:
+        """Raise ValueError for a list with a state of the fluid where a relative vorticity is meant."""
+        if not isinstance(X, (list, tuple)) or len(X) != 2 or self._fluid is None or not self._fluid.has_frame:
+            return
+        if not isinstance(X[1], RelativeVorticity):
+            raise ValueError(
+                f"absolute of {self.name} was given a vorticity that may be a state of its fluid, as fluid.from_modes "
+                "and fluid.random make; give fluid.relative(state), or an array of both matrices"
+            )
 
     def _in_frame(self, x: Any, conversion: str) -> Matrix:
         X = np.array(self.matrices(x))

@@ -124,7 +124,13 @@ class ThermalQG(TwoLayerSystem):
         Returns
         -------
         (..., 2, N, N) array
+
+        Raises
+        ------
+        ValueError
+            A state of `fluid` in place of the relative vorticity of a list.
         """
+        self._check_relative(X)
         fields = np.array(self.matrices(X))
         fields[..., 1, :, :] = self._fluid.absolute(fields[..., 1, :, :])
         return self.buoyancy.joined(fields)
@@ -170,7 +176,7 @@ def _warm_tropics() -> Matrix:
     system = thermal_qg(48, 40.0, 2.0, None, BOTTOM)
     fluid = system.fluid
     b = fluid.from_modes({(2, 0): -1.0, (1, 0): 0.3}, absolute=True)
-    return system.absolute([b, 0.2 * np.asarray(fluid.relative(fluid.random(seed=2, degrees=(3, 8))))])
+    return system.absolute([b, 0.2 * fluid.relative(fluid.random(seed=2, degrees=(3, 8)))])
 
 
 @ready_made(
