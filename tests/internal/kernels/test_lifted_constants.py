@@ -353,3 +353,20 @@ def test_the_structure_of_functions_of_the_library_gives_their_digest(monkeypatc
             assert quick.places == expected.places, name
     # One of the library that calls one of the user has no entry: what that reads may change.
     assert 4 < len(contents._DIGESTS) <= len(found)
+
+
+def test_functions_of_the_library_with_other_whole_numbers_have_other_digests():
+    def made(n, closes_over):
+        def by_default(x, n=n):
+            return n * x[0]
+
+        def by_closure(x):
+            return n * x[0]
+
+        found = by_closure if closes_over else by_default
+        found.__module__ = contents.__name__
+        return found
+
+    for closes_over in (False, True):
+        digests = [contents.lifted_contents(made(n, closes_over)).digest for n in (2, 3, 2)]
+        assert digests[0] == digests[2] != digests[1]

@@ -252,6 +252,15 @@ def test_modules_are_those_of_compiled_runs_and_of_functions():
         np.testing.assert_allclose(one.grad, each[name].sum(0), rtol=0, atol=1e-14)
 
 
+def test_times_between_steps_have_the_moments_of_the_run():
+    """An energy that depends on time, in partial steps that begin at other times than the run."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(in_time, weights(3)))
+    arguments, t_eval = {"method": co.GaussLegendre(2), "step": 0.25}, [0.5, 0.73, 1.0, 1.49]
+    found = co.torch.solution(system, (0.5, 1.5), t_eval=t_eval, **arguments)(X0)
+    wanted = co.integrate(system, X0, (0.5, 1.5), t_eval=t_eval, **arguments).x
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+
+
 def test_the_parameters_of_a_system_are_a_copy():
     module = modules()
     params = dict(module.named_parameters())

@@ -155,6 +155,16 @@ def test_spectra_and_shares_are_those_of_their_times(surface, sense):
         np.testing.assert_allclose(data(line), [run.t, own], rtol=1e-12)
 
 
+def test_spectra_of_a_thermal_flow_are_those_of_its_potential_vorticity():
+    s = co.systems.thermal_qg(7, 2.0, surface="torus")
+    x0 = s.from_potential([s.fluid.random(seed=k, degrees=(1, 3)) for k in (1, 2)])
+    run = co.integrate(s, x0, (0, 1), 0.25)
+    axes = shown(run, Picture("field spectra", at=0.5))
+    first = next(line for line in axes.lines if line.get_color() == colour(0) and line.get_linestyle() == "--")
+    scales, values = s.fluid.energy_spectrum(s.potential(run.x[0])[1])
+    np.testing.assert_array_equal(data(first), [scales, np.where(values > 0.0, values, np.nan)])
+
+
 def test_the_fields_of_a_quasi_geostrophic_flow_are_shown_by_their_names():
     s = co.systems.torus_qg(9, 2.0, {(1, 2): 0.5})
     W = s.random(3, degrees=(2, 4))
