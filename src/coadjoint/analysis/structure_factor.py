@@ -26,6 +26,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
+from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
@@ -52,13 +53,14 @@ class StructureFactor:
     omega : ndarray, shape (m,)
         Angular frequencies, ascending; of runs positive and negative.
     intensity : ndarray, shape (k, m)
-        S(q, omega), summed over the three components of the spins, mean of the members; or what neutrons measure.
+        S(q, omega), summed over the three components of the spins or over the operators of `structure_factor`, mean of
+        the members; or what neutrons measure.
     error : ndarray, shape (k, m)
         Its standard error, from the scatter of the members with Student's factor: two errors hold 95 of 100 values of
         several waves, 90 of a single one, whose intensity is distributed exponentially. NaN for a single run, and of
         modes.
-    components : ndarray, shape (3, k, m)
-        The same for each component, without the polarization factor.
+    components : ndarray, shape (3 or operators, k, m)
+        The same for each component or operator, without the polarization factor.
     static : ndarray, shape (k,)
         Equal-time structure factor S(q) of the same states, the mean over times (weighted by the square of the window)
         and members. Of modes the sum of their intensities.
@@ -232,7 +234,11 @@ def resolution(energies: Floats, centres: Floats, fwhm: Any) -> tuple[Floats, Fl
 @suggest_keywords
 @long_operation("structure_factor")
 def structure_factor(
-    solution: Solution, path: Any = None, window: Any = "hann", neutrons: Neutrons | None = None
+    solution: Solution,
+    path: Any = None,
+    window: Any = "hann",
+    neutrons: Neutrons | None = None,
+    operators: Any = None,
 ) -> StructureFactor:
     """Return the dynamic structure factor S(q, omega) of spins from a run, the mean over its members.
 
@@ -258,6 +264,10 @@ def structure_factor(
         none, as is ``"boxcar"``.
     neutrons : Neutrons, optional
         Form factors, polarization factor, temperature and domains, of models on crystals.
+    operators : (operators, N, N) array_like, complex or real, optional
+        Hermitian matrices in the basis of `co.spins.operators`, for models of ``mode="SU(N)"``: their expectations at
+        all sites take the place of the components of the spins. Choose them for quadrupoles and other multipoles, whose
+        lines neutrons do not see, such as ``[Sx @ Sy + Sy @ Sx]``. Units are those of the operators.
 
     Returns
     -------
@@ -268,6 +278,7 @@ def structure_factor(
     ValueError
         The system has no lattice in space, the members have different ones, a crystal has no path, the times are not
         equidistant, a corner does not fit the lattice, a shell is empty, a member failed, or the window is unknown.
+        Operators of models of dipoles, together with `neutrons`, not Hermitian or of another shape.
     TypeError
         Not a solution, or not `Neutrons`.
 
@@ -278,7 +289,7 @@ def structure_factor(
     structure factor ``|sum over i of S_a,i exp(-i q . r_i)|^2 / N``, exactly. Sites of cells with several are at their
     positions, so that S is not periodic in q there. Spins of a model on a crystal are S times their directions, without
     g and form factors unless `neutrons` are given, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins
-    of `spin_lattice` are the state, whatever their moments.
+    of `spin_lattice` are the state, whatever their moments. An operator A has ``<A>_i`` in place of ``S_a,i``.
 
     Examples
     --------
@@ -293,11 +304,25 @@ def structure_factor(
     >>> peaks = abs(S.omega[S.intensity.argmax(axis=1)])
     >>> bool(abs(peaks - 2 * (1 - np.cos(2 * np.pi * S.q[:, 0]))).max() < 0.1)
     True
+
+    Quadrupoles of an easy-axis ferromagnet of S = 1, which go from m = 1 to m = -1 at omega = 4 abs(J):
+
+    >>> Sx, Sy, Sz = co.spins.operators(1)
+    >>> chain = co.spins.crystal(lattice=(2, 2, 1, 90, 90, 90), sites={"Ni": (0, 0, 0)})
+    >>> model = co.systems.spins(chain, (1, 1, 4), spin=1, periodic=(False, False, True), mode="SU(N)")
+    >>> model = model.exchange(chain.bonds(1)["1"], -0.5)
+    >>> model = model.single_ion("Ni", -3 * Sz @ Sz)
+    >>> x0 = model.from_amplitudes([[1, 0, 0.02], [1, 0, 0.01], [1, 0, 0], [1, 0, 0]])
+    >>> sol = co.integrate(model, x0, (0, 100), 0.1, save_every=5)
+    >>> S = co.spectra.structure_factor(sol, [(0, 0, 0), (0, 0, 1 / 2)], operators=[Sx @ Sy + Sy @ Sx])
+    >>> bool(np.all(abs(abs(S.omega[S.intensity.argmax(axis=1)]) - 2.0) < 0.1))
+    True
     """
     check_solution(solution)
     lattice = common_lattice(solution.system)
     first = solution.system.distinct[0].unforced
     check_neutrons(neutrons, first, lattice)
+    coefficients = _coefficients(operators, neutrons, [one.unforced for one in solution.system.distinct], lattice)
     signal = sampled(solution, None, MIN_TIMES)
     members, count, _ = signal.values.shape
     waves = measured_waves(neutrons, commensurate_waves(lattice, path), lattice, first)
@@ -310,13 +335,15 @@ def structure_factor(
     scale = abs(spacing) / (2.0 * np.pi * spins * squares)
     every = max(1, NUMBERS_AT_ONCE // count)
     parts = [slice(start, start + every) for start in range(0, len(images), every)]
-    mean, square, static = np.zeros((4, k, count)), np.zeros((k, count)), np.zeros((k, 1))
+    size = (len(coefficients) + 1, k, count)
+    mean, square, static = np.zeros(size), np.zeros((k, count)), np.zeros((k, 1))
     for member, rows in enumerate(signal.values):
         system = solution.system.of_member(member).unforced
-        power = np.zeros((4, k, count))
+        power = np.zeros(size)
         for part in parts:
             cartesian = images[part] @ lattice.reciprocal
-            amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], system, lattice, images[part], neutrons)
+            forward = rows if spacing > 0.0 else rows[::-1]
+            amplitudes = _amplitudes(forward, system, lattice, images[part], neutrons, coefficients)
             equal = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1, keepdims=True)
             waves.add_means(static, part, equal / (spins * squares * members))
             # ifft has the sign of exp(+i omega t), and divides by the number of times.
@@ -324,9 +351,9 @@ def structure_factor(
             each = np.concatenate([np.abs(spectrum) ** 2, intensity(neutrons, spectrum, cartesian)[None]])
             waves.add_means(power, part, scale * each)
         # Welford's update.
-        before = mean[3].copy()
+        before = mean[-1].copy()
         mean += (power - mean) / (member + 1)
-        square += (power[3] - before) * (power[3] - mean[3])
+        square += (power[-1] - before) * (power[-1] - mean[-1])
         note_progress("the spectrum of a member", (member + 1) / members)
     with np.errstate(invalid="ignore"):
         error = np.sqrt(square / (members - 1) / members) if members > 1 else np.full_like(square, np.nan)
@@ -340,9 +367,9 @@ def structure_factor(
     return StructureFactor(
         waves.q,
         omega,
-        mean[3],
+        mean[-1],
         error[:, order] * factor,
-        mean[:3],
+        mean[:-1],
         static[:, 0],
         waves.distance,
         waves.corners,
@@ -371,21 +398,41 @@ def _window(window: Any, count: int) -> Floats:
     return weight
 
 
+def _coefficients(operators: Any, neutrons: Neutrons | None, systems: list[Any], lattice: Lattice) -> Floats:
+    """Return constants and the coefficients of the coordinates of a site: of its first three, or of operators."""
+    first = systems[0]
+    if operators is None:
+        return np.eye(3, 1 + first.dim // len(places_of(first, lattice)), k=1)
+    for system in systems:
+        if not isinstance(system, CoherentSpinModel):
+            raise ValueError(
+                f"operators is given for {system.name}, whose sites have no states of N levels; leave it out, or take "
+                'a model of co.systems.spins(..., mode="SU(N)")'
+            )
+    if neutrons is not None:
+        raise ValueError("operators and neutrons are both given, and neutrons see dipoles only; give one of them")
+    given = read_list(operators, "operators", "give a list of Hermitian matrices (N, N)")
+    if not given:
+        raise ValueError("operators is empty; give at least one Hermitian matrix (N, N)")
+    return np.array([first._coefficients(matrix, f"operators[{number}]") for number, matrix in enumerate(given)])
+
+
 def _amplitudes(
-    rows: Floats, system: Any, lattice: Lattice, q: Floats, neutrons: Neutrons | None
+    rows: Floats, system: Any, lattice: Lattice, q: Floats, neutrons: Neutrons | None, coefficients: Floats
 ) -> NDArray[np.complex128]:
-    """Return the sums of the spins of states (times, n) times exp(-i q . r), or of moments, shape (3, k, times)."""
+    """Return sums over the sites of states (times, n) with exp(-i q . r), shape (components, k, times)."""
     places = places_of(system, lattice)
     phase = 2.0 * np.pi * (q @ places.T)
     lengths = scattering_lengths(neutrons, system, np.linalg.norm(q @ lattice.reciprocal, axis=1))
     waves = np.ascontiguousarray(np.concatenate([lengths * np.cos(phase), lengths * -np.sin(phase)]).T)
     count, n = rows.shape
     k = len(q)
-    result = np.empty((3, k, count), dtype=np.complex128)
+    result = np.empty((len(coefficients), k, count), dtype=np.complex128)
     every = max(1, NUMBERS_AT_ONCE // n)
     for first in range(0, count, every):
         part = slice(first, first + every)
-        for axis in range(3):
-            sums = np.ascontiguousarray(rows[part, axis :: n // len(places)]) @ waves
-            result[axis, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
+        sites = rows[part].reshape(-1, len(places), n // len(places))
+        for component, (constant, *linear) in enumerate(coefficients):
+            sums = (constant + sites @ np.array(linear)) @ waves
+            result[component, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
     return result

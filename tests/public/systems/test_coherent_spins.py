@@ -427,6 +427,99 @@ def test_structure_factor_of_dipoles():
     )
 
 
+def bound_chain(D=-4.0, J=-0.5, K=0.2, L=8):
+    """Return an easy-axis ferromagnet whose excitation from m = 1 to m = -1 has a dispersion, by the biquadratic K."""
+    bond, Sz = CHAIN.bonds(1)["1"], co.spins.operators(1)[2]
+    model = co.systems.spins(CHAIN, (L, 1, 1), spin=1, mode="SU(N)").exchange(bond, J).biquadratic(bond, K)
+    return model.single_ion("Ni", D * Sz @ Sz)
+
+
+def test_quadrupoles_show_the_bound_states_of_two_magnons():
+    """By Holstein and Primakoff for three levels: E1 = -D - 2 J (1 - cos q), E2 = -4 J + 2 K (1 + cos q)."""
+    model, Z = bound_chain(), 0.02 * amplitudes(16, 3).reshape(2, 8, 3)
+    Z[..., 0] = 1.0
+    sol = co.integrate(model, model.from_amplitudes(Z), (0, 100), 0.1, save_every=5)
+    Sx, Sy, _ = spin_matrices(1)
+    S = co.spectra.structure_factor(sol, [(0, 0, 0), (1 / 2, 0, 0)], operators=[Sx, Sx @ Sy + Sy @ Sx])
+    found = abs(S.omega[S.components.argmax(axis=2)])
+    c = np.cos(2 * np.pi * S.q[:, 0])
+    magnons, bound = 4.0 + (1 - c), 2.0 + 0.4 * (1 + c)
+    assert np.all(abs(found - [magnons, bound]) < 2 * np.pi / 100)
+    modes = co.spectra.linear_modes(model, model.coherent(UP), S.q, points=1).frequencies
+    np.testing.assert_allclose(modes, np.transpose([bound, magnons]), rtol=1e-7)
+    # The dipoles alone have no such line.
+    dipoles = co.spectra.structure_factor(sol, S.q[[0, -1]])
+    near = abs(abs(S.omega) - bound[:, None]) < 0.3
+    power = [(one * near).sum(axis=1) / one.sum(axis=1) for one in (S.components[1], dipoles.components[0])]
+    assert power[0].min() > 0.95 and power[1].max() < 0.01
+
+
+@pytest.mark.parametrize("factor", [1e-7, 1.0, 1e30])
+@pytest.mark.parametrize("span", [(0, 4), (3, -1)])
+def test_spectra_of_operators_by_hand(span, factor):
+    """Members with other vacancies, sites at their positions, constants of operators, times that descend, any units."""
+    rng, Z = np.random.default_rng(3), amplitudes(18, 4).reshape(2, 9, 4)
+    (first, second), models = LOW.bonds(3.1)[:2], []
+    for seed in (1, 2):
+        made = co.systems.spins(LOW, (3, 2, 1), spin=1.5, periodic=(True, True, False), mode="SU(N)")
+        models.append(made.exchange(first, 0.3 * factor).biquadratic(second, 0.1 * factor).vacancies(0.25, seed=seed))
+    x0 = np.stack([model.from_amplitudes(one) for model, one in zip(models, Z, strict=True)])
+    steps = [time / factor for time in (*span, 0.1)]
+    forces = [co.forces.DoubleBracketDamping(0.01)] if factor == 1.0 else []
+    system = co.batch([model.with_forces(*forces) if forces else model for model in models])
+    sol = co.integrate(system, x0, tuple(steps[:2]), steps[2], co.Splitting(order=2), save_every=2)
+    chosen = np.array([factor * hermitian(rng, 4), np.diag([1.0, 0, 0, 0])])
+    S = co.spectra.structure_factor(sol, [(0, 0, 0), (1, 1 / 2, 2)], None, operators=chosen)
+    q, spectra = 2 * np.pi * np.linalg.solve(LOW.lattice, S.q.T), []  # a . q = 2 pi h
+    for member, model in enumerate(models):
+        values = np.array([model.expectation(sol.x[:, member], A) for A in chosen])
+        by_amplitudes = np.einsum("im,amn,in->ai", Z[member].conj(), chosen, Z[member]).real
+        np.testing.assert_allclose(values[:, 0], by_amplitudes, atol=1e-12 * abs(by_amplitudes).max())
+        sums = np.einsum("ati,ik->akt", values, np.exp(-1j * model.positions @ q))
+        count, step = len(sol.t), abs(sol.t[1] - sol.t[0])
+        waves = np.exp(1j * np.outer(sol.t, S.omega))
+        scale = 1 / (len(model.sites) * count)
+        spectra.append(
+            (np.abs(sums @ waves) ** 2 * scale * step / (2 * np.pi), np.sum(np.abs(sums) ** 2, (0, 2)) * scale)
+        )
+    expected, static = (np.mean(part, axis=0) for part in zip(*spectra, strict=True))
+    for found, wanted in zip(S.components, expected, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-11 * wanted.max())
+    np.testing.assert_allclose(S.static, static, rtol=1e-12)
+    np.testing.assert_allclose(S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0]), static, rtol=1e-12)
+    np.testing.assert_allclose(S.components.sum(axis=0), S.intensity, rtol=1e-14)
+    assert S.broadened(0.3 * factor).components.shape == S.components.shape == (2, len(S.q), len(sol.t))
+    plain = co.spectra.structure_factor(sol, S.q[[0, -1]])
+    same = co.spectra.structure_factor(sol, S.q[[0, -1]], operators=co.spins.operators(1.5))
+    np.testing.assert_allclose(same.components, plain.components, rtol=1e-12, atol=1e-14 * plain.components.max())
+
+
+@pytest.mark.parametrize(
+    ("operators", "options", "words"),
+    [
+        ([], {}, "operators is empty"),
+        (np.eye(3), {}, "operators[0] has shape (3,)"),
+        ([np.eye(3), np.eye(2)], {}, "operators[1] has shape (2, 2)"),
+        ([np.triu(np.ones((3, 3)))], {}, "operators[0] is not Hermitian"),
+        ([np.eye(3)], {"neutrons": co.spectra.Neutrons()}, "give one of them"),
+    ],
+)
+def test_refused_operators_of_spectra(operators, options, words):
+    model = bound_chain(L=3)
+    sol = co.integrate(model, model.coherent(UP), (0, 1), 0.1)
+    with refused(ValueError, words):
+        co.spectra.structure_factor(sol, [(0, 0, 0)], operators=operators, **options)
+
+
+def test_dipoles_have_no_operators():
+    model = co.systems.spins(CHAIN, (2, 1, 1), spin=1)
+    ring = co.systems.spin_lattice("ring", 4)
+    for system in (model, ring):
+        sol = co.integrate(system, np.tile(UP, system.dim // 3), (0, 1), 0.1)
+        with refused(ValueError, "no states of N levels"):
+            co.spectra.structure_factor(sol, [(0,) * (3 if system is model else 1)], operators=[np.eye(2)])
+
+
 def test_meetings(tmp_path):
     """Members, batches, archives that resume, derivatives, other units, vacancies, conserved spins."""
     bond = CHAIN.bonds(1)["1"]

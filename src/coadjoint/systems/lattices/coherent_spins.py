@@ -202,7 +202,7 @@ class CoherentSpinModel(SpinModel):
                     f"site {chosen.label} {chosen.number} has a single-ion operator; give the sum of both once"
                 )
         where = f"site {chosen.label} {chosen.number}"
-        given = coefficients_of(self._operator(matrix, "the single-ion matrix", self.levels))
+        given = self._coefficients(matrix, "the single-ion matrix")
         odd = ranks(self.levels) % 2 == 1
         if (
             read_bool(time_reversal, "time_reversal")
@@ -311,6 +311,10 @@ class CoherentSpinModel(SpinModel):
         found = np.where(np.abs(found) > NEGLIGIBLE * size, found, 0.0)
         equal = np.abs(found - given).max(axis=(1, 2)) <= NEGLIGIBLE * size
         return np.where(equal[:, None, None], given, found)
+
+    def _coefficients(self, matrix: Any, what: str) -> Floats:
+        """Validate an operator of a site, and return its coefficients, the unit matrix first."""
+        return coefficients_of(self._operator(matrix, what, self.levels))
 
     def _operator(self, matrix: Any, what: str, size: int) -> Complex:
         """Validate a Hermitian matrix (size, size)."""
@@ -474,7 +478,7 @@ class CoherentSpinModel(SpinModel):
         >>> model.expectation(model.coherent((1, 0, 0)), Sz @ Sz).round(12)
         array([0.5])
         """
-        a = coefficients_of(self._operator(operator, "the operator", self.levels))
+        a = self._coefficients(operator, "the operator")
         return np.asarray(a[0] + (self._of_sites(x) * a[1:]).sum(axis=-1))
 
     def dipoles(self, x: Any) -> Floats:
