@@ -279,6 +279,8 @@ def linear_modes(
         raise TypeError(f"system is {short(system)}; linear_modes needs a model on a crystal, of co.systems.spins")
     if system.hamiltonian.timed:
         raise TypeError(f"the field of {short(system)} depends on time, so that it has no equilibria")
+    if any(system.twist):
+        raise ValueError(f"{short(system)} has twisted boundaries; linear_modes needs a lattice without a twist")
     lattice = lattice_of(system)
     check_neutrons(neutrons, system, lattice)
     momenta, single = momenta_of(system, state)

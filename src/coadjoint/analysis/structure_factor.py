@@ -20,7 +20,14 @@ from coadjoint.analysis.neutrons import (
 )
 from coadjoint.analysis.signals import sampled
 from coadjoint.analysis.standard_errors import student_factor
-from coadjoint.analysis.wave_vectors import Lattice, commensurate_waves, common_lattice, fitting, places_of
+from coadjoint.analysis.wave_vectors import (
+    Lattice,
+    commensurate_waves,
+    common_lattice,
+    existing_components,
+    fitting,
+    places_of,
+)
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.runs.results.solution import Solution, check_solution
@@ -258,7 +265,7 @@ def structure_factor(
         at all such wave vectors on the lines between the corners. Crystals need a path. For chains by name numbers
         suffice, and None is the usual path of lattices by name: the first zone of chains; Gamma, X, M, Gamma of square
         ones, Gamma, M, K, Gamma of triangular, honeycomb and kagome ones; Gamma, X, M, R, Gamma of cubic ones. A
-        `Plane` has all wave vectors of a parallelogram, and a `Powder` means over shells.
+        `Plane` has all wave vectors of a parallelogram, and a `Powder` means over shells. Notes have those of twists.
     window : str, tuple or None
         Window over the time by its name in `scipy.signal.get_window`, with its parameters: ``("kaiser", 8.0)``; None is
         none, as is ``"boxcar"``.
@@ -290,6 +297,11 @@ def structure_factor(
     positions, so that S is not periodic in q there. Spins of a model on a crystal are S times their directions, without
     g and form factors unless `neutrons` are given, and of SU(N) they are dipoles <S>; N does not count vacancies. Spins
     of `spin_lattice` are the state, whatever their moments. An operator A has ``<A>_i`` in place of ``S_a,i``.
+
+    Spins of a lattice with a twist, S(n + size) = R S(n), have three sets of wave vectors: components along the axis
+    those above, S+ = S_1 + i S_2 across it those plus ``k = twist / (2 pi size)``, and S- those minus k. A path or a
+    plane is in one of these sets, and S has the components that exist there, in the frame of the lattice: with [k, k +
+    1/2] the waves of S+. A periodic lattice of M times the cells has M times this S, and zero elsewhere.
 
     Examples
     --------
@@ -344,6 +356,7 @@ def structure_factor(
             cartesian = images[part] @ lattice.reciprocal
             forward = rows if spacing > 0.0 else rows[::-1]
             amplitudes = _amplitudes(forward, system, lattice, images[part], neutrons, coefficients)
+            amplitudes = existing_components(lattice, images[part], amplitudes)
             equal = np.sum(intensity(neutrons, amplitudes, cartesian) * weight**2, axis=1, keepdims=True)
             waves.add_means(static, part, equal / (spins * squares * members))
             # ifft has the sign of exp(+i omega t), and divides by the number of times.

@@ -17,10 +17,12 @@ from coadjoint.systems.lattices.declared_spins import UNITS, cells_text
 from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, has_cell, reciprocal_edges, sizes_of
 from coadjoint.systems.lattices.space_groups import inverse
 from coadjoint.systems.lattices.spin_model import SpinModel
+from coadjoint.systems.lattices.twists import Twist
 from coadjoint.validation import as_tuples, read_finite, set_fields
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Complex = NDArray[np.complex128]
 
 COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
 MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
@@ -29,7 +31,7 @@ ORTHOGONAL = 1e-9  # defect of the rotation of a domain
 
 
 class Lattice(NamedTuple):
-    """Text for errors, cells along the axes, sites of a cell, reciprocal edges, usual path, and hbar of the units."""
+    """Text for errors, cells along the axes, sites of a cell, reciprocal edges, usual path, hbar, and the twist."""
 
     text: str
     sizes: tuple[int, ...]
@@ -37,6 +39,7 @@ class Lattice(NamedTuple):
     reciprocal: Floats
     path: Any = None
     hbar: float = 1.0
+    twist: Twist | None = None
 
 
 class WaveVectors(NamedTuple):
@@ -143,12 +146,10 @@ def lattice_by_name(name: str, shape: Any) -> Lattice:
 def lattice_of(system: Any) -> Lattice:
     """Return the lattice of a model on a crystal or of a lattice by name; ValueError if it has none in space."""
     if isinstance(system, SpinModel):
-        if any(system.twist):
-            raise ValueError(f"{short(system)} has twisted boundaries; spectra need a lattice without a twist")
         crystal, units = system.crystal, UNITS[system.units]
         edges = 2.0 * np.pi * inverse(crystal.lattice).T
         text = f"{crystal!r}, {cells_text(system.size)} cells"
-        return Lattice(text, system.size, crystal.positions, edges, hbar=units.hbar)
+        return Lattice(text, system.size, crystal.positions, edges, hbar=units.hbar, twist=system._declared.twist)
     name = system.layout.get("lattice")
     if not has_cell(name):
         raise ValueError(
@@ -170,7 +171,9 @@ def common_lattice(system: Any) -> Lattice:
     """Return the lattice that the members of a system have in common; ValueError if there is none."""
     first, *others = (lattice_of(member.unforced) for member in system.distinct)
     for other in others:
-        if other.sizes != first.sizes or not all(map(np.array_equal, first[2:4], other[2:4])):
+        if (other.sizes, other.twist) != (first.sizes, first.twist) or not all(
+            map(np.array_equal, first[2:4], other[2:4])
+        ):
             raise ValueError(
                 f"the members have different lattices ({first.text}, and {other.text}); integrate those of one lattice"
             )
@@ -191,23 +194,24 @@ def commensurate_waves(lattice: Lattice, where: Any) -> WaveVectors:
         return _shells(lattice, where)
     if isinstance(where, Plane):
         vectors = _read_corners(lattice, [where.origin, where.first, where.second], "plane")
-        whole = np.rint(fitting(lattice, vectors, "plane") * sizes).astype(np.int64)
+        shift = _shifts(lattice, vectors[:1])[0]
+        whole = _whole(lattice, np.concatenate([vectors[:1] - shift, vectors[1:]]), "plane")
         counts = [math.gcd(*edge.tolist()) for edge in whole[1:]]
         steps = [edge // count for edge, count in zip(whole[1:], counts, strict=True)]
-        return _grid(lattice, whole[0] / sizes, [step / sizes for step in steps], counts)
+        return _grid(lattice, whole[0] / sizes + shift, [step / sizes for step in steps], counts)
     if where is None and lattice.path is None:
         raise ValueError(
             f"path is None, and {lattice.text}, have no usual path; give the corners (h, k, l) of one in reciprocal "
             "lattice units, such as [(0, 0, 0), (1, 0, 0)]"
         )
     corners = _read_corners(lattice, lattice.path if where is None else where, "path")
-    whole = np.rint(fitting(lattice, corners, "path" if where is not None else "the usual path") * sizes)
-    whole = whole.astype(np.int64)
+    shift = _shifts(lattice, corners[:1])[0]
+    whole = _whole(lattice, corners - shift, "path" if where is not None else "the usual path")
     points = [whole[:1]]
     for start, end in itertools.pairwise(whole):
         count = math.gcd(*(end - start).tolist())
         points.append(start + np.arange(1, count + 1)[:, None] * ((end - start) // max(count, 1)))
-    return _on_path(lattice, [part / sizes for part in points])
+    return _on_path(lattice, [part / sizes + shift for part in points])
 
 
 def spaced_waves(lattice: Lattice, where: Any, points: int) -> WaveVectors:
@@ -247,13 +251,45 @@ def turned_waves(waves: WaveVectors, lattice: Lattice, rotations: Floats) -> Wav
 
 def fitting(lattice: Lattice, q: Floats, what: str) -> Floats:
     """Return wave vectors that fit the cells, without round-off; ValueError if one does not."""
-    _check_fits(lattice, q, what)
-    sizes = np.array(lattice.sizes)
-    return np.asarray(np.rint(q * sizes) / sizes)
+    shifts = _shifts(lattice, q)
+    return np.asarray(_whole(lattice, q - shifts, what) / np.array(lattice.sizes) + shifts)
+
+
+def existing_components(lattice: Lattice, q: Floats, amplitudes: Complex) -> Complex:
+    """Return amplitudes (3, k, times) without the components that a twisted lattice does not have at wave vectors."""
+    if lattice.twist is None:
+        return amplitudes
+    u = np.array(lattice.twist.axis)
+    along, cross = np.outer(u, u), np.cross(u, np.eye(3)).T
+    P = np.zeros((len(q), 3, 3), dtype=np.complex128)
+    P[_fits(lattice, q).all(axis=1)] = along
+    for sign in (1, -1):  # S+ and S-, which the twist multiplies by exp(+-i angle)
+        fits = _fits(lattice, q - sign * _twist_shift(lattice)).all(axis=1)
+        P[fits] += 0.5 * (np.eye(3) - along - sign * 1j * cross)
+    return np.asarray(np.einsum("kab,bkt->akt", P, amplitudes))
+
+
+def _twist_shift(lattice: Lattice) -> Floats:
+    """Return the wave vector by which those of S+ differ from whole numbers of waves."""
+    angles = np.zeros(len(lattice.sizes)) if lattice.twist is None else np.array(lattice.twist.angles)
+    return np.asarray(angles / (2.0 * np.pi * np.array(lattice.sizes)))
+
+
+def _shifts(lattice: Lattice, q: Floats) -> Floats:
+    """Return the shift of the wave vectors of a component of spins of which each is one; 0 if there is none."""
+    shifts = np.zeros(q.shape)
+    if lattice.twist is not None:
+        plain = _fits(lattice, q).all(axis=1)
+        for sign in (-1, 1):
+            shift = sign * _twist_shift(lattice)
+            shifts[_fits(lattice, q - shift).all(axis=1) & ~plain] = shift
+    return shifts
 
 
 def _shells(lattice: Lattice, powder: Powder) -> WaveVectors:
     edges, sizes = np.array(powder.edges), np.array(lattice.sizes)
+    if lattice.twist is not None:
+        raise ValueError(f"{lattice.text}, have twisted boundaries; Powder needs a lattice without a twist")
     if lattice.reciprocal.shape != (3, 3):
         raise ValueError(f"{lattice.text}, have no volume; Powder needs a model of co.systems.spins, a crystal")
     longest = edges[-1] * np.linalg.norm(np.linalg.inv(lattice.reciprocal), axis=0) * sizes
@@ -309,14 +345,23 @@ def _read_corners(lattice: Lattice, given: Any, what: str) -> Floats:
     return corners
 
 
-def _check_fits(lattice: Lattice, q: Floats, what: str) -> None:
-    """Raise ValueError for a wave vector that is not commensurate with the cells of a lattice."""
+def _fits(lattice: Lattice, q: Floats) -> NDArray[np.bool_]:
+    """Return where wave vectors are commensurate with the cells of a lattice, of the shape of q."""
     with np.errstate(over="ignore", invalid="ignore"):
         waves = q * np.array(lattice.sizes)
-        fits = np.abs(waves - np.rint(waves)) <= COMMENSURATE * np.maximum(1.0, np.abs(waves))
-    off = np.argwhere(~(fits & (np.abs(waves) < MAX_WAVES)))
+        near = np.abs(waves - np.rint(waves)) <= COMMENSURATE * np.maximum(1.0, np.abs(waves))
+    return np.asarray(near & (np.abs(waves) < MAX_WAVES))
+
+
+def _whole(lattice: Lattice, q: Floats, what: str) -> Integers:
+    """Return the numbers of waves in the lattice; ValueError for a wave vector that does not fit its cells."""
+    off = np.argwhere(~_fits(lattice, q))
     if off.size:
+        twisted = (
+            "" if lattice.twist is None else ", to which that of all S+, or S-, adds the twist / 2 pi, or minus it"
+        )
         raise ValueError(
             f"{what} has the corner {short(tuple(q[off[0, 0]].tolist()))}, which does not fit {lattice.text}: q times "
-            "the cells of an axis must be a whole number; give path=, or take other numbers of cells"
+            f"the cells of an axis must be a whole number{twisted}; give path=, or take other numbers of cells"
         )
+    return np.rint(q * np.array(lattice.sizes)).astype(np.int64)

@@ -57,6 +57,57 @@ def test_motion_is_that_of_a_larger_lattice(axis):
         assert list(small.integrals) == ["total S3"]
 
 
+@pytest.mark.parametrize("axis", [(0, 0, 1), AXIS])
+@pytest.mark.parametrize("neutrons", [None, co.spectra.Neutrons()])
+@pytest.mark.parametrize("span", [(1, 3), (3, 1)])
+def test_spectra_are_those_of_a_larger_lattice(axis, neutrons, span):
+    """Where components have no waves the larger lattice has none; elsewhere it has as many times the intensity."""
+    axis, angles = np.array(axis, dtype=float), (2 * np.pi / 3, -np.pi / 2, 0)
+    small, large = lattice((3, 3, 1), axis, twist=angles), lattice((9, 12, 1), axis)
+    x = np.random.default_rng(1).standard_normal((2, 3, 3, 3))
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    rows = [np.concatenate([x @ about(axis, a * angles[0] + b * angles[1]).T for b in range(4)], 2) for a in range(3)]
+    runs = [
+        co.integrate(model, start.reshape(2, -1), span, 0.1, co.GaussLegendre(3))
+        for model, start in ((small, x), (large, np.concatenate(rows, axis=1)))
+    ]
+    k = np.array([1 / 9, -1 / 12, 0])
+    whole = co.spectra.structure_factor(runs[1], co.spectra.Plane((0, 0, 0), (1, 0, 0), (0, 1, 0)), "hann", neutrons)
+    number = {tuple(np.rint(q * (9, 12, 1)).astype(int)): row for row, q in enumerate(whole.q)}
+    seen = []
+    for sign in (0, 1, -1):
+        plane = co.spectra.Plane(sign * k, (1, 0, 0), (0, 1, 0))
+        S = co.spectra.structure_factor(runs[0], plane, "hann", neutrons)
+        assert len(S.q) == 16
+        inside = np.all((S.q > -1e-9) & (S.q < 1 + 1e-9), axis=1)
+        same = [number[tuple(q)] for q in np.rint(S.q[inside] * (9, 12, 1)).astype(int)]
+        for part in ("intensity", "static", "error"):
+            found, wanted = 12 * getattr(S, part)[inside], getattr(whole, part)[same]
+            np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-9 * wanted.max())
+        wanted = whole.components[:, same]
+        np.testing.assert_allclose(12 * S.components[:, inside], wanted, rtol=1e-8, atol=1e-9 * wanted.max())
+        seen += same
+        path = co.spectra.structure_factor(runs[0], [sign * k, sign * k + [1 / 3, 0, 0]], "hann", neutrons)
+        np.testing.assert_allclose(path.intensity, S.intensity[[0, 4]], rtol=1e-10, atol=1e-12 * S.intensity.max())
+    rest = np.setdiff1d(np.arange(len(whole.q)), seen)
+    assert len(rest) > 50 and whole.static[rest].max() < 1e-20 * whole.static.max()
+    for path in ([0 * k, k], [0.5 * k, 0.5 * k]):
+        with refused(ValueError, "does not fit", "twist / 2 pi"):
+            co.spectra.structure_factor(runs[0], path)
+
+
+def test_components_across_half_a_turn_are_together():
+    """A twist of pi has S+ and S- at the same wave vectors, where the spins across the axis are whole."""
+    model = lattice((4, 3, 1), (0, 0, 1), twist=(np.pi, 0, 0))
+    x = np.random.default_rng(2).standard_normal((4, 3, 3))
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    sol = co.integrate(model, x.ravel(), (0, 1), 0.1)
+    S = co.spectra.structure_factor(sol, [(1 / 8, 0, 0), (3 / 8, 0, 0)], None)
+    waves = np.exp(-2j * np.pi * model.cells @ S.q.T)
+    sums = 1.5 * np.einsum("tia,ik->tak", sol.x.reshape(len(sol.t), -1, 3), waves)
+    np.testing.assert_allclose(S.static, np.mean(np.sum(abs(sums[:, :2]) ** 2, axis=1), axis=0) / 12, rtol=1e-12)
+
+
 def test_what_a_twist_conserves():
     """Of the total spin the component along the axis alone, also where no exchange is twisted."""
     row = co.systems.spins(SQUARE, (3, 1, 1), periodic=(True, False, False), twist=(1.0, 0, 0)).biquadratic(ROW, 0.5)
@@ -111,5 +162,7 @@ def test_what_is_refused():
         co.systems.spins(SQUARE, (4, 4, 4), twist=(0.5, 0, 0), axis=(0, 0, 0))
     still = plain.exchange(ROW, 1.0)
     sol = co.integrate(still, np.tile([0.0, 0, 1], 64), (0, 1), 0.1, co.GaussLegendre(1))
-    with refused(ValueError, "twisted", "structure_factor"):
-        co.spectra.structure_factor(sol, path=[(0, 0, 0), (1, 0, 0)])
+    with refused(ValueError, "twisted", "linear_modes"):
+        co.spectra.linear_modes(still, sol.x[-1], [(0, 0, 0), (1, 0, 0)])
+    with refused(ValueError, "twisted", "Powder"):
+        co.spectra.structure_factor(sol, co.spectra.Powder([1, 2]))
