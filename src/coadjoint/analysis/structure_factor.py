@@ -334,7 +334,7 @@ def structure_factor(
     lattice = common_lattice(solution.system)
     first = solution.system.distinct[0].unforced
     check_neutrons(neutrons, first, lattice)
-    coefficients = _coefficients(operators, neutrons, [one.unforced for one in solution.system.distinct], lattice)
+    coefficients = _coefficients(operators, neutrons, first, lattice)
     signal = sampled(solution, None, MIN_TIMES)
     members, count, _ = signal.values.shape
     waves = measured_waves(neutrons, commensurate_waves(lattice, path), lattice, first)
@@ -411,23 +411,21 @@ def _window(window: Any, count: int) -> Floats:
     return weight
 
 
-def _coefficients(operators: Any, neutrons: Neutrons | None, systems: list[Any], lattice: Lattice) -> Floats:
+def _coefficients(operators: Any, neutrons: Neutrons | None, system: Any, lattice: Lattice) -> Floats:
     """Return constants and the coefficients of the coordinates of a site: of its first three, or of operators."""
-    first = systems[0]
     if operators is None:
-        return np.eye(3, 1 + first.dim // len(places_of(first, lattice)), k=1)
-    for system in systems:
-        if not isinstance(system, CoherentSpinModel):
-            raise ValueError(
-                f"operators is given for {system.name}, whose sites have no states of N levels; leave it out, or take "
-                'a model of co.systems.spins(..., mode="SU(N)")'
-            )
+        return np.eye(3, 1 + system.dim // len(places_of(system, lattice)), k=1)
+    if not isinstance(system, CoherentSpinModel):
+        raise ValueError(
+            f"operators is given for {system.name}, whose sites have no states of N levels; leave it out, or take a "
+            'model of co.systems.spins(..., mode="SU(N)")'
+        )
     if neutrons is not None:
         raise ValueError("operators and neutrons are both given, and neutrons see dipoles only; give one of them")
     given = read_list(operators, "operators", "give a list of Hermitian matrices (N, N)")
     if not given:
         raise ValueError("operators is empty; give at least one Hermitian matrix (N, N)")
-    return np.array([first._coefficients(matrix, f"operators[{number}]") for number, matrix in enumerate(given)])
+    return np.array([system._coefficients(matrix, f"operators[{number}]") for number, matrix in enumerate(given)])
 
 
 def _amplitudes(

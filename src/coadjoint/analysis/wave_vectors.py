@@ -148,8 +148,10 @@ def lattice_of(system: Any) -> Lattice:
     if isinstance(system, SpinModel):
         crystal, units = system.crystal, UNITS[system.units]
         edges = 2.0 * np.pi * inverse(crystal.lattice).T
-        text = f"{crystal!r}, {cells_text(system.size)} cells"
-        return Lattice(text, system.size, crystal.positions, edges, hbar=units.hbar, twist=system._declared.twist)
+        twist = system._declared.twist
+        turned = "" if twist is None else f" with the twist {twist.angles} about {twist.axis}"
+        text = f"{crystal!r}, {cells_text(system.size)} cells{turned}"
+        return Lattice(text, system.size, crystal.positions, edges, hbar=units.hbar, twist=twist)
     name = system.layout.get("lattice")
     if not has_cell(name):
         raise ValueError(
@@ -289,7 +291,7 @@ def _shifts(lattice: Lattice, q: Floats) -> Floats:
 def _shells(lattice: Lattice, powder: Powder) -> WaveVectors:
     edges, sizes = np.array(powder.edges), np.array(lattice.sizes)
     if lattice.twist is not None:
-        raise ValueError(f"{lattice.text}, have twisted boundaries; Powder needs a lattice without a twist")
+        raise ValueError(f"{lattice.text}, have three sets of wave vectors; Powder needs a lattice without a twist")
     if lattice.reciprocal.shape != (3, 3):
         raise ValueError(f"{lattice.text}, have no volume; Powder needs a model of co.systems.spins, a crystal")
     longest = edges[-1] * np.linalg.norm(np.linalg.inv(lattice.reciprocal), axis=0) * sizes

@@ -164,5 +164,9 @@ def test_what_is_refused():
     sol = co.integrate(still, np.tile([0.0, 0, 1], 64), (0, 1), 0.1, co.GaussLegendre(1))
     with refused(ValueError, "twisted", "linear_modes"):
         co.spectra.linear_modes(still, sol.x[-1], [(0, 0, 0), (1, 0, 0)])
-    with refused(ValueError, "twisted", "Powder"):
+    with refused(ValueError, "with the twist", "Powder"):
         co.spectra.structure_factor(sol, co.spectra.Powder([1, 2]))
+    other = co.systems.spins(SQUARE, (4, 4, 4), twist=(0.1, 0, 0)).exchange(ROW, 1.0)
+    both = co.integrate(co.batch([still, other]), np.tile([0.0, 0, 1], (2, 64)), (0, 1), 0.1, co.GaussLegendre(1))
+    with refused(ValueError, "different lattices", "with the twist (0.1, 0.0, 0.0)"):
+        co.spectra.structure_factor(both, [(0, 0, 0)])
