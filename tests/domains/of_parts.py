@@ -199,6 +199,7 @@ OWN_SYSTEMS = {
 
 STRENGTHS = (math.nan, math.inf, None, "1", "", 1j, {}, [], np.ones((3, 3, 3)))
 OF_SPINS = vector((0.5,), not_negative(), 0.5, 0, number=True)  # of a body, which has one
+LAYER = Domain(("vorticity", "carried", 0, 63), ("vorticityx", "", None, True, 64, -1, 1.5, 1j, math.nan, []))
 OF_FORCES = {
     "BetaPlane": {"beta": real()},
     "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
@@ -229,7 +230,7 @@ OF_FORCES = {
     "RandomForcing": {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
-        "layer": Domain(("vorticity", "carried", 0, 63), ("vorticityx", "", None, True, 64, -1, 1.5, 1j, math.nan, [])),
+        "layer": LAYER,
     },
     "SelectiveDecay": {"rate": not_negative()},
     "TransportNoise": {
@@ -243,7 +244,7 @@ OF_FORCES = {
         ),
         "arguments": Domain((None, {}), ({"gain": 0.5}, 3, "gain", math.nan, [1.0])),
     },
-    "Viscosity": {"nu": not_negative(), "power": whole(1, 32), "rotation": flag()},
+    "Viscosity": {"nu": not_negative(), "power": whole(1, 32), "rotation": flag(), "layer": LAYER},
 }
 PLATES = {
     "areas": structured(((0.5,), [0]), ((), (-0.5,), (1.0, 2.0), 0.5, (math.inf,), ("1",), (1j,))),

@@ -290,6 +290,7 @@ OWN = {
         "N": whole(3, 4096, usual=5, tried=6),
         "gamma": not_negative(0.5),
         "topography": TOPOGRAPHY,
+        "surface": choice("sphere"),  # lamb is not for the torus
         "bathymetry": TOPOGRAPHY.but_called(r"\bbathymetry\b|\bmodes?\b|\bheights\b|\bends with\b"),
         "lamb": not_negative(2.0),
     },

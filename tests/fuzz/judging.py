@@ -28,7 +28,7 @@ def wrong_error(error, here=""):
     shown = f"{type(error).__name__}: {message[:300]!r} ({Path(place.filename).name}:{place.lineno})"
     if TESTS in place.filename:  # refused by Python itself, or by a function of the tests
         return None
-    if isinstance(error, FileNotFoundError | IsADirectoryError) and "file" in here:
+    if isinstance(error, OSError) and ("file" in here or "path" in here):  # of the operating system, which names it
         return None
     if isinstance(error, MemoryError):  # of Python or NumPy, which name the size
         return None

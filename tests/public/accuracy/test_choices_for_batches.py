@@ -103,7 +103,7 @@ def test_prepared_runs_of_a_batch_check_each_member():
 
 
 def test_members_that_a_scheme_does_not_support_are_named():
-    dense = co.Polynomial("x1*x2*x3 + x1^2", dim=3)
+    dense = co.Polynomial("x1^5*x2*x3 + x1^2", dim=3)
     systems = [co.LiePoissonSystem(co.algebras.so(3), H) for H in (co.Quadratic([1.0, 2.0, 3.0]), dense)]
     batch = co.batch(systems)
     with refused(ValueError, "Splitting"):

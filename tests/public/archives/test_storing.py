@@ -75,7 +75,7 @@ def test_every_part_is_covered():
     derived = {
         "system", "stats", "events", "choice", "error_estimate", "step_error", "rotation", "to_pandas", "t_eval",
         "drift", "balance", "change", "modified_energy", "spectrum", "at", "to_xarray", "plot", "movie",
-        "positions", "velocities", "angular_velocity", "angular_momentum", "in_space",
+        "positions", "velocities", "to_ovf", "angular_velocity", "angular_momentum", "in_space",
     }  # fmt: skip
     public = {name for name in dir(run("one body")) if not name.startswith("_")}
     assert public == {*PARTS} | derived

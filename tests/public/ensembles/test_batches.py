@@ -103,7 +103,7 @@ def test_forces_preserving_different_casimirs_are_refused():
 
 def test_unsupported_member_is_named():
     split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
-    coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
+    coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(5, 1, 1): 1.0}))  # degree seven
     with refused(ValueError, "member 1", "Splitting"):
         co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1, co.Splitting())
 

@@ -15,7 +15,7 @@ RUN = co.integrate(BODY, X0, SPAN, 0.1)
 TODA = co.integrate(co.systems.toda(2), np.array([1.0, -1.0, 0.5]), SPAN, 0.1)
 SPUN = co.integrate(co.systems.body(), co.systems.body().state(), SPAN, 0.1)
 COADJOINT = co.integrate(co.systems.kirchhoff_body(), np.ones(6), SPAN, 0.1, attitude="coadjoint")
-CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 1): 1.0}))
+CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(5, 1, 1): 1.0}))
 
 
 class Tensor:
@@ -75,7 +75,7 @@ MISTAKES = {
     "after the end": (lambda: RUN.at(2.0), "t is 2", "from 0 to 1"),
     # schemes
     "an adaptive scheme": (lambda: full(method="RK45"), "RK45", "estimate of the error"),
-    "coupled functions": (lambda: co.Splitting().properties(CUBE), "Splitting", "x1*x2*x3", "x1 and x2"),
+    "coupled functions": (lambda: co.Splitting().properties(CUBE), "Splitting", "x1^5*x2*x3", "x1 and x2"),
     "matrices for a vector": (lambda: full(method=co.IsospectralGauss()), "IsospectralGauss", "rigid_body"),
     # events and observables
     "an event as text": (lambda: full(events="x2"), "events", "x2", "co.Event('x2')"),

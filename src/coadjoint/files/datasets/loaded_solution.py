@@ -102,7 +102,8 @@ class LoadedSolution(StoredSolution):
         steps = int(next(attributes[name] for name in named if name in attributes))
         work = int(attributes["evaluations"]), int(attributes["iterations"])
         seconds = float(attributes["seconds"]), float(attributes.get("elapsed", np.nan))
-        return with_products(Statistics(steps, *work, *seconds), self)
+        found = Statistics(steps, *work, *seconds)
+        return found if "not_stored" in attributes else with_products(found, self)
 
     @cached_property
     def events(self) -> RecordedEvents | None:

@@ -59,7 +59,8 @@ class Statistics:
         Products of matrices of the steps of `IsospectralGauss`, in the precision of the states, summed over members;
         those of recorded Casimirs are not counted. An inverse counts as one, and a skew-Hermitian product as the part
         that is computed. None for other schemes, whose steps have none; with forces, whose products are not counted;
-        and for runs with events or that have not taken all of their steps, since what they repeated is not stored.
+        for runs with events or that have not taken all of their steps, since what they repeated is not stored; and for
+        files of systems whose functions are not stored.
     lower_products : float, optional
         Those in single precision, at most: each step that corrected its midpoint is counted with the last correction.
         None like `matrix_products`.
@@ -76,7 +77,9 @@ class Statistics:
 
 def with_products(statistics: Statistics, solution: Any) -> Statistics:
     """Return the statistics of a solution with its products of matrices, if its counts determine them."""
-    if solution.system.forces or solution.events is not None or solution.incomplete is not None:
+    if type(solution.method).matrix_products is Method.matrix_products:
+        return statistics
+    if solution.events is not None or solution.incomplete is not None or solution.system.forces:
         return statistics
     steps = member_count(solution) * statistics.steps
     system, counts = solution.system.of_member(0), (statistics.evaluations, statistics.iterations)

@@ -314,9 +314,9 @@ def _numbered(count: int) -> tuple[str, ...]:
 
 def _read_held(held: Any, others: Sequence[str]) -> tuple[str, ...]:
     """Validate a count of numbers that forces hold, or their names, and return the names."""
-    if not np.ndim(held):
+    if not isinstance(held, (list, tuple, np.ndarray)) or (isinstance(held, np.ndarray) and not held.ndim):
         return _numbered(read_integer(held, "held", 0, MAX_HELD))
-    names = tuple(map(str, held))
+    names = tuple(map(str, held[: MAX_HELD + 1]))
     if not 0 < len(names) <= MAX_HELD or any(not re.fullmatch(r"[A-Za-z_]+[0-9]+", name) for name in names):
         raise ValueError(
             f"held is {short(held)}; give a count of at most {MAX_HELD}, or names, each with a number: integral1"
