@@ -67,7 +67,7 @@ def step_of(x, inertia, h):
     return step_and_derivatives(x, np.eye(3, dtype=x.dtype), inertia, h)[0]
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("turns", [0.03, -0.3, *long_beyond(1, (3.0, 1e-8))])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_motion_in_60_digits(shape, turns, kind):

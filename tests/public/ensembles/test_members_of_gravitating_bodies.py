@@ -38,7 +38,7 @@ def run(system, x0, span=(T0, T0 + H * STEPS), **options):
     return co.integrate(system, x0, span, H, co.Splitting(order=4), save_every=8, **options)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", long_where(["polyhedron"], ORDERS))
 def test_members_end_as_alone(order, tmp_path):
     """On one and two threads, stored and resumed, with the same bits; and backward to their starts."""
     system = system_of(order)

@@ -48,7 +48,7 @@ def check_representation(value, limit):
 
 
 @pytest.mark.parametrize(
-    "name", long_where(["layered_qg", "thermal_qg", "torus_euler"], co.systems.names())
+    "name", long_where(["layered_qg", "thermal_qg", "torus_euler", "torus_qg"], co.systems.names())
 )  # metrics of 2400 rows
 def test_systems_with_forces_and_batches_are_one_line(name):
     system = co.systems.get(name)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from long import long_beyond
+from long import long_beyond, long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -118,7 +118,7 @@ def test_rotational_diffusion_of_an_asymmetric_body(h):
     assert np.abs(sphere - np.exp(-turned[:, 1] - turned[:, 2]))[-1] > 0.06
 
 
-@pytest.mark.parametrize("h", [0.001, 0.002])
+@pytest.mark.parametrize("h", long_where([0.001], [0.001, 0.002]))
 def test_equipartition_of_a_water_cluster(h):
     """Linear and angular velocities of eight molecules of water at 298 K, in nm, ps and kJ/mol."""
     count, members, kT = 8, 16, 0.0083145 * 298.15
