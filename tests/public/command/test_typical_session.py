@@ -1,6 +1,7 @@
 """A typical session emits no warning, also none of deprecated functions of other packages."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -61,6 +62,8 @@ def test_session_without_warnings(tmp_path):
     picture.
     """
     checkout = CHECKOUT.format(files=(str(ROOT / "README.md"), str(EXAMPLE))) if EXAMPLE.is_file() else ""
+    if checkout:  # the README reads a log of the examples, from the folder of the sources
+        shutil.copytree(EXAMPLE.parent, tmp_path / "examples", ignore=shutil.ignore_patterns("*.py"))
     process = [sys.executable, "-W", "error", "-c", SESSION + checkout]
     environment = ENVIRONMENT | {"MPLBACKEND": "agg"}
     done = subprocess.run(process, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=environment)
