@@ -149,8 +149,8 @@ def magnetic_structure(path: str | Path, *, tolerance: float = 1e-3) -> Magnetic
 
     Notes
     -----
-    Components are along the lattice vectors a, b, c, in Bohr magnetons. An operation ``x -> W x + w`` with time reversal
-    theta = -1 takes a moment m to ``theta det(W) R m``, R the matrix of W in the Cartesian frame.
+    Components are along the lattice vectors a, b, c, in Bohr magnetons. An operation ``x -> W x + w`` with time
+    reversal theta = -1 takes a moment m to ``theta det(W) R m``, R the matrix of W in the Cartesian frame.
 
     References
     ----------
