@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.signals import autocorrelation
-from coadjoint.analysis.thermal_states import are_spins, thermal_states
+from coadjoint.analysis.thermal_states import spin_energy, states_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -19,7 +19,6 @@ from coadjoint.systems.forces.base import read_seed
 from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
-from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
@@ -145,16 +144,13 @@ def thermal_averages(
     >>> bool(abs(energy + 1 / np.tanh(2) - 0.5) < 4 * error < 0.02)
     True
     """
-    check_one_system(system)
-    coherent = isinstance(system, CoherentSpinModel)
-    if not coherent and not are_spins(system):
-        raise TypeError(f"{system.name} is not made of spins; thermal_averages needs copies of so(3)")
+    known, coherent = spin_energy(system, "thermal_averages"), isinstance(system, CoherentSpinModel)
     temperatures = read_finite(temperature, "temperature")
     if temperatures.ndim > 1 or not temperatures.size:
         raise ValueError(f"temperature has shape {temperatures.shape}; give one number, or one for each curve point")
     key, count = read_seed(seed, "seed"), read_integer(members, "members", 1)
     total, first = read_integer(sweeps, "sweeps", 1), read_integer(start, "start", 0)
-    spacing, spins = read_integer(every, "every", 1), len(system.sites) if coherent else system.dim // 3
+    spacing, spins = read_integer(every, "every", 1), known.sites
     samples = total // spacing
     if samples < MIN_SAMPLES:
         raise ValueError(f"{total} sweeps have {samples} samples, one every {spacing}; {MIN_SAMPLES} are needed")
@@ -167,22 +163,14 @@ def thermal_averages(
     x: Any = None if x0 is None else read_finite(x0, "x0")
     if x is not None and x.shape != (system.dim,):
         raise ValueError(f"x0 has shape {x.shape}; {system.name} needs ({system.dim},)")
-    lengths = np.ones(spins) if x is None else np.linalg.norm(x.reshape(-1, 3), axis=1)
+    lengths = np.ones(spins) if x is None or coherent else np.linalg.norm(x.reshape(-1, 3), axis=1)
     parallel = float(np.abs(factors * lengths).sum())
     if parallel == 0.0:
         raise ValueError("x0 has length zero at all spins with a weight; give spins of other lengths")
     energies, moments = np.empty((samples, len(points))), np.empty((samples, len(points), 3))
     for k in range(-1 if first else 0, samples):
-        states = thermal_states(
-            system,
-            points,
-            seed=_seed_of_block(key, k + 1),
-            sweeps=first if k < 0 else spacing,
-            x0=x,
-            members=len(points),
-            over_relaxation=over_relaxation,
-            method=method,
-        )
+        block, length = _seed_of_block(key, k + 1), first if k < 0 else spacing
+        states = states_of(known, system, points, len(points), block, length, method, over_relaxation, x)
         x = states.x
         if k >= 0:
             energies[k] = states.energy[-1]

@@ -250,6 +250,7 @@ def _colours(neighbours: Any) -> Integers:
     return colours
 
 
+@ignore_overflow
 def spin_energy(system: Any, asking: str) -> SpinEnergy:
     """Return the energy of a system of spins; TypeError or ValueError, in the name of `asking`, for any other."""
     import scipy.sparse
@@ -354,7 +355,6 @@ class ThermalStates:
 
 @suggest_keywords
 @long_operation("thermal_states")
-@ignore_overflow
 def thermal_states(
     system: Any,
     temperature: ArrayLike,
@@ -434,6 +434,22 @@ def thermal_states(
     ((4000, 6), True)
     """
     energies = spin_energy(system, "thermal_states")
+    return states_of(energies, system, temperature, members, seed, sweeps, method, over_relaxation, x0)
+
+
+@ignore_overflow
+def states_of(
+    energies: SpinEnergy,
+    system: Any,
+    temperature: ArrayLike,
+    members: int | None,
+    seed: int,
+    sweeps: int,
+    method: str,
+    over_relaxation: int,
+    x0: ArrayLike | None,
+) -> ThermalStates:
+    """Return thermal states of a system whose energy is known by `spin_energy`."""
     choice = read_choice(method, "method", tuple(METHODS))
     key = read_seed(seed, "seed")
     count = read_integer(sweeps, "sweeps", 1, MAX_SWEEPS, floats=True)

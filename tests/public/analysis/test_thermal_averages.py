@@ -134,3 +134,13 @@ def test_averages_that_are_refused(given, words):
     good = {"system": co.systems.spin_lattice(), "temperature": 1.0, "seed": 1}
     with refused((TypeError, ValueError), words):
         co.spins.thermal_averages(**good | given)
+
+
+def test_states_of_levels_are_starts():
+    Sz = co.spins.operators(1)[2]
+    ions = co.spins.crystal(lattice=(3, 3, 4, 90, 90, 90), sites={"Ni": (0, 0, 0)})
+    model = co.systems.spins(ions, (2, 1, 1), spin=1, mode="SU(N)").single_ion("Ni", 0.5 * Sz @ Sz)
+    found = co.spins.thermal_averages(model, 0.4, seed=2, sweeps=400, start=20, x0=model.coherent((0, 0, 1)))
+    alone = co.spins.thermal_averages(model, 0.4, seed=5, sweeps=400, start=20)
+    for one, other in ((found.energy, alone.energy), (found.magnetization, alone.magnetization)):
+        assert abs(one.value - other.value) < 4 * np.hypot(one.error, other.error) < 0.1
