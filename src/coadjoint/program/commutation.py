@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.sparse_sums import CHUNK, Floats, Integers, chunks, expand, groups
+from coadjoint.algebra.exact.sparse_sums import CHUNK, Floats, Integers, chunks, connected, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, layers, order_by, run_starts, run_sums, starts_of
@@ -46,6 +46,19 @@ def noncommuting(algebra: LieAlgebra, first: Integers, second: Integers) -> NDAr
     i, j, _, _ = algebra.triples
     size = algebra.dim
     return np.isin(first * size + second, i * size + j)
+
+
+def ideals(algebra: LieAlgebra) -> Pairs:
+    """Return the smallest sets of coordinates that commute with all others: the set of each, and its number in it."""
+    if algebra._copied is not None:
+        return np.divmod(np.arange(algebra.dim), algebra._copied[0].dim)
+    i, j, _, _ = algebra.triples
+    label = connected(algebra.dim, i, j)
+    order = np.argsort(label, kind="stable")
+    size = np.bincount(label, minlength=algebra.dim)
+    number = np.empty_like(order)
+    number[order] = np.arange(algebra.dim) - (np.cumsum(size) - size)[label[order]]
+    return label, number
 
 
 def has_noncommuting(algebra: LieAlgebra, label: Integers) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -74,8 +74,9 @@ def in_coordinates_of(system: Any, function: Function) -> Function:
 
 
 def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return functions of the state by name, see `in_coordinates_of`."""
-    return {name: in_coordinates_of(system, function) for name, function in functions.items()}
+    """Return functions of the state by name; polynomials are printed with the coordinate names of the system."""
+    names = cache(lambda: coordinate_names(system))
+    return {name: one.named(names()) if hasattr(one, "named") else one for name, one in functions.items()}
 
 
 @lru_cache(maxsize=64)

@@ -5,6 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 from scipy.constants import physical_constants
+from scipy.integrate import solve_ivp
 from scipy.special import spherical_in
 
 import coadjoint as co
@@ -145,3 +146,59 @@ def test_files_of_the_package():
     assert [len(bond.basis) for bond in iron.bonds(7.9)] == [4, 2, 4, 6]
     with refused(ValueError, "MnF2", "FeI2"):
         co.spins.structure("NaCl")
+
+
+def iron_iodide(size, mode="dipole"):
+    """FeI2 with the anisotropic exchange and the easy axis of X. Bai et al., Nature Physics 17, 467 (2021)."""
+    iron = co.spins.crystal(co.spins.structure("FeI2")).subcrystal("Fe")
+    bonds, axis = iron.bonds(9.8), np.diag([0, 0, -2.165]) if mode == "dipole" else np.diag([-2.165, 0, -2.165])
+    model = co.systems.spins(iron, size, spin=1, units="meV", mode=mode).single_ion("Fe", axis)
+    model = model.exchange(bonds["1"], [[-0.397, 0, 0], [0, -0.075, -0.261], [0, -0.261, -0.236]])
+    for name, across, along in (("3", 0.026, 0.113), ("5", 0.166, 0.211)):
+        model = model.exchange(bonds[name], np.diag([across, across, along]))
+    return model.exchange(bonds["4"], np.diag([0.013, 0.013, 0.051])) if size[2] > 1 else model
+
+
+@pytest.mark.parametrize(("order", "steps"), [(2, (50, 100)), (4, (20, 40)), (6, (20, 40))])
+def test_anisotropic_exchange_of_a_lattice_has_nine_exact_flows(order, steps):
+    """All pairs of axes of neighbours need nine parts on a lattice whose sites have three or four colours."""
+    model = iron_iodide((5, 8, 1))
+    described = str(co.Splitting(order).describe(model)).splitlines()[0]
+    assert described.endswith("in 9 parts")
+    errors = errors_of_splitting(model, order, steps)
+    assert errors[0] < 2e-3 and abs(np.log2(errors[0] / errors[1]) - order) < 0.1
+
+
+def errors_of_splitting(model, order, steps):
+    x0 = np.random.default_rng(3).standard_normal((model.dim // 3, 3))
+    x0 = (x0 / np.linalg.norm(x0, axis=1, keepdims=True)).ravel()
+    exact = solve_ivp(lambda t, x: model.vector_field(x), (0, 1), x0, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    return [np.abs(co.integrate(model, x0, (0, 1), 1 / n, co.Splitting(order)).x[-1] - exact).max() for n in steps]
+
+
+@pytest.mark.parametrize(
+    ("lattice", "shape", "tensor", "parts"),
+    [
+        ("triangular", (5, 8), "full", 9),
+        ("cubic", (3, 3, 3), "full", 9),
+        ("ring", 25, "in the plane", 5),  # z z, and four pairs of x and y
+        ("complete", 20, "full", 27),  # of the 20 * 19 / 2 pairs of spins, by digits of their 20 colours to the base 4
+    ],
+)
+def test_general_exchange_of_a_lattice_has_few_parts(lattice, shape, tensor, parts):
+    T = np.random.default_rng(5).uniform(0.5, 1.0, (3, 3))
+    if tensor == "in the plane":
+        T[:2, 2] = T[2, :2] = 0.0
+    scale = 2.0 / shape if lattice == "complete" else 1.0
+    model = co.systems.spin_lattice(lattice, shape, periodic=lattice != "complete", tensor=T, exchange=scale)
+    described = str(co.Splitting().describe(model)).splitlines()[0]
+    assert int(described.split()[-2]) <= parts
+    errors = errors_of_splitting(model, 2, (40, 80))
+    assert errors[0] < 0.05 and abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
+
+
+@pytest.mark.parametrize("mode", ["dipole", "SU(N)"])
+def test_large_models_of_many_bonds_have_the_parts_of_small_ones(mode):
+    """2400 bonds between 160 spins."""
+    described = str(co.Splitting().describe(iron_iodide((5, 8, 4), mode)))
+    assert described.splitlines()[0].endswith("in 9 parts")

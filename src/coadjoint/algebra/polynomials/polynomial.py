@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from itertools import compress
 from types import MappingProxyType
 from typing import Any
 
@@ -320,7 +321,8 @@ class Polynomial:
 
     @cached_property
     def _factors(self) -> list[tuple[int, Coefficient, dict[int, int]]]:
-        return [(0, value, {i: e for i, e in enumerate(x) if e}) for x, value in self._monomials.items()]
+        every = range(self._dim)
+        return [(0, value, {i: x[i] for i in compress(every, x)}) for x, value in self._monomials.items()]
 
     @cached_property
     def _value_sum(self) -> ProductSum:

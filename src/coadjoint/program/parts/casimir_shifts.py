@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.commutation import MAX_REORDERED, count_groups
 from coadjoint.program.parts.part import Parts
@@ -65,12 +64,11 @@ def quadratic_entries(casimir: Polynomial) -> Entries | None:
 
 
 def _compute_entries(casimir: Polynomial) -> Entries | None:
-    monomials = casimir.monomials
-    pairs = [factors_of(exponents) for exponents in monomials]
+    pairs = [[k for k, e in powers.items() for _ in range(e)] for _, _, powers in casimir._factors]
     if not pairs or any(len(pair) != 2 for pair in pairs):
         return None
     i, j = np.array(pairs, dtype=np.int64).T
-    values = np.array([float(c) for c in monomials.values()])
+    values = np.array([float(c) for _, c, _ in casimir._factors])
     off_diagonal = i != j
     rows, columns = np.concatenate([i, j[off_diagonal]]), np.concatenate([j, i[off_diagonal]])
     return rows, columns, np.concatenate([np.where(off_diagonal, values, 2.0 * values), values[off_diagonal]])
@@ -113,6 +111,19 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     indptr = np.searchsorted(rows, np.arange(n + 1))
     changed = QuadraticTerm(indptr, columns, total[nonzero], term.linear, term.constant)
     return (*terms[:index], changed, *terms[index + 1 :])
+
+
+def without_squares(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return terms without what diagonal Casimirs may remove: their parts are the fewest that a shift may leave."""
+    index = quadratic_position(terms)
+    if index is None:
+        return tuple(terms)
+    term = terms[index].form
+    assert term is not None
+    mixed = term.rows != term.indices
+    indptr = np.searchsorted(term.rows[mixed], np.arange(len(term.linear) + 1))
+    rest = QuadraticTerm(indptr, term.indices[mixed], term.values[mixed], term.linear, term.constant)
+    return (*terms[:index], rest, *terms[index + 1 :])
 
 
 def candidate_shifts(

@@ -21,6 +21,7 @@ from coadjoint.program.parts.casimir_shifts import (
     count_parts,
     quadratic_casimirs,
     shifted_terms,
+    without_squares,
 )
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, best_orders
@@ -178,7 +179,7 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) ->
         if leaves_out(k, best) or (size < least * IMPROVEMENT_FACTOR and not leaves_out(best, k)):
             best, order, least = k, other_order, size
     shift, parts = alternatives[best]
-    return _decomposition(parts, quadratic_casimirs(system), ChosenParts(order, shift))
+    return _decomposition(parts, quadratic_casimirs(system) if shift else {}, ChosenParts(order, shift))
 
 
 def angles_of(parts: Parts, offset: NDArray[Any], weight: NDArray[Any]) -> list[tuple[Any, NDArray[Any]]]:
@@ -209,7 +210,10 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[tuple[S
     unshifted = split(system, "auto")
     best: list[tuple[Shift, Parts]] = [((), unshifted)]
     fewest = len(unshifted)
-    shifts = list(candidate_shifts(system, unshifted, casimirs)) if fewest > 1 else []
+    tried = fewest > 1
+    if tried and not comparing and all(casimir.diagonal for casimir in casimirs.values()):
+        tried = len(split(system, "auto", without_squares(terms))) < fewest
+    shifts = list(candidate_shifts(system, unshifted, casimirs)) if tried else []
     # For many shifts of a large system the parts are counted without being built.
     counts = [0] * len(shifts) if comparing else count_parts(system, casimirs, shifts)
     work, spent = _shift_work(system, unshifted), 0

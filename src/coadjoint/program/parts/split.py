@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, connected, distinct
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial, SparseKey, SparseMonomials, SparsePolynomial
-from coadjoint.program.commutation import few_parts, first_noncommuting, has_noncommuting, noncommuting
+from coadjoint.program.commutation import few_parts, first_noncommuting, has_noncommuting, ideals
 from coadjoint.program.generators import NotSplittable, check_products
+from coadjoint.program.parts.covering import groups_of_products
 from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.parts.powers_of_forms import MAX_DEGREE, parts_of_powers
 from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
@@ -43,9 +44,13 @@ def quadratic_atoms(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) ->
     """Split a quadratic term into parts of one share each, by the first coordinate of each connected set."""
     label, members, squared = _sets(term, algebra, separate)
     if not separate and np.any(squared):
-        terms = separated_products(term, algebra, squared[label] & (label >= 0), label)
-        if len(terms) > 1:
-            return Parts.concatenate([quadratic_atoms(one, algebra, separate) for one in terms])
+        *groups, rest = separated_products(term, algebra, squared[label] & (label >= 0), label)
+        if groups:
+            return Parts.concatenate(
+                [*(_commuting(one, algebra) for one in groups), quadratic_atoms(rest, algebra, separate)]
+            )
+    if not len(members):
+        return Parts.concatenate([])
     plain = members[~squared[label[members]]]
     atoms = [_coupled(term, plain, label[plain])]
     owner = [label[plain][run_starts(label[plain])]]
@@ -69,6 +74,9 @@ def check_width(term: QuadraticTerm, algebra: LieAlgebra) -> None:
     label, members, squared = _sets(term, algebra, separate=False)
     label = label[members]
     size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
+    ideal, _ = ideals(algebra)
+    if np.bincount(ideal[members]).max() <= MAX_RATIONAL_SIZE:
+        return  # products are separated
     full = squared & (entries >= DENSE_ROW * size)
     # The generator of a coordinate has as many entries as structure constants contain it.
     i, j, _, _ = algebra.triples
@@ -104,63 +112,44 @@ def _sets(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) -> tuple[Int
 def separated_products(
     term: QuadraticTerm, algebra: LieAlgebra, squared: NDArray[np.bool_], label: Integers
 ) -> list[QuadraticTerm]:
-    """Split the products of large sparse sets into terms of which all coordinates commute; squares would fill up."""
+    """Split the products of large sets into terms of which all coordinates commute; squares would fill up.
+
+    The last term has the products within an ideal. Sets of large ideals, or of fewer squares, stay as they are.
+    """
     rows, indices, values, size = term.rows, term.indices, term.values, len(term.linear)
     number = np.bincount(label[squared], minlength=size)
-    entries = np.bincount(label[rows][squared[rows]], minlength=size)
-    large = squared & ((number > MAX_RATIONAL_SIZE) & (entries < DENSE_ROW * number))[label]
-    above = np.flatnonzero((rows < indices) & large[rows])
-    i, j = rows[above], indices[above].astype(np.int64)
-    bound = noncommuting(algebra, i, j)
-    site = connected(size, i[bound], j[bound])
-    if np.bincount(site[large], minlength=1).max(initial=0) > MAX_RATIONAL_SIZE:
+    large = squared & (number > MAX_RATIONAL_SIZE)[label]
+    ideal, axis = ideals(algebra)
+    if np.bincount(ideal[large], minlength=1).max() > MAX_RATIONAL_SIZE:
         return [term]
-    between = site[i] != site[j]
-    i, j = i[between], j[between]
-    pairs = np.stack([i, j], axis=1)
-    color = _colors(i, j, algebra)
+    above = np.flatnonzero((rows < indices) & large[rows] & (ideal[rows] != ideal[indices]))
+    i, j = rows[above], indices[above].astype(np.int64)
+    group = groups_of_products(i, j, ideal, axis)
     # Each entry of M goes with its product, and what concerns one coordinate with the first of its products.
-    colors = int(color.max(initial=-1)) + 1
-    owner = np.full(size, colors)
-    np.minimum.at(owner, pairs.ravel(), np.repeat(color, 2))
-    owner[np.bincount(site, minlength=size)[site] > 1] = colors
-    of_entry = np.where(rows == indices, owner[rows], colors)
+    groups = int(group.max(initial=-1)) + 1
+    if groups >= number.max():
+        return [term]
+    owner = np.full(size, groups)
+    np.minimum.at(owner, np.concatenate([i, j]), np.concatenate([group, group]))
+    within = rows[(rows != indices) & (ideal[rows] == ideal[indices])]
+    owner[np.isin(ideal, ideal[within])] = groups
+    of_entry = np.where(rows == indices, owner[rows], groups)
     key = i * size + j
     order = np.argsort(key)
     keys = np.minimum(rows, indices) * size + np.maximum(rows, indices)
     position = np.minimum(np.searchsorted(key[order], keys), len(key) - 1)
     product = key[order][position] == keys if len(key) else np.zeros(len(keys), dtype=bool)
-    of_entry[product] = color[order][position[product]]
+    of_entry[product] = group[order][position[product]]
     terms: list[QuadraticTerm] = []
-    for c in range(colors + 1):
-        chosen = of_entry == c
-        linear = np.where(owner == c, term.linear, 0.0)
-        if np.any(chosen) or np.any(linear):
-            indptr = np.searchsorted(rows[chosen], np.arange(size + 1))
-            constant = term.constant if not terms else 0 * term.constant
-            terms.append(
-                QuadraticTerm(indptr, indices[chosen], values[chosen], linear, constant=constant, piece=term.piece)
-            )
+    for g in range(groups + 1):
+        chosen = of_entry == g
+        linear = np.where(owner == g, term.linear, 0.0)
+        indptr = np.searchsorted(rows[chosen], np.arange(size + 1))
+        constant = term.constant if not terms else 0 * term.constant
+        terms.append(
+            QuadraticTerm(indptr, indices[chosen], values[chosen], linear, constant=constant, piece=term.piece)
+        )
     return terms
-
-
-def _colors(i: Integers, j: Integers, algebra: LieAlgebra) -> Integers:
-    """Return the groups of products x_i x_j by first fit: in a group all coordinates commute."""
-    start, indices = (column.tolist() for column in algebra.neighbours())
-    others = [indices[first:last] for first, last in pairwise(start)]
-    groups = [0] * len(others)  # of the products with each coordinate, as bits
-    color = []
-    for first, second in zip(i.tolist(), j.tolist(), strict=True):
-        taken = 0
-        for k in others[first]:
-            taken |= groups[k]
-        for k in others[second]:
-            taken |= groups[k]
-        free = ~taken & (taken + 1)
-        groups[first] |= free
-        groups[second] |= free
-        color.append(free.bit_length() - 1)
-    return np.array(color, dtype=np.int64)
 
 
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
@@ -170,6 +159,13 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
     units = SparseRows.units(members)
     return Parts.linear(units, values_at(term.linear, members), weights.with_target(units.coordinate), row, source=0)
+
+
+def _commuting(term: QuadraticTerm, algebra: LieAlgebra) -> Parts:
+    """Build one part of a term whose coordinates commute."""
+    label, members, _ = _sets(term, algebra, separate=False)
+    parts = _coupled(term, members, label[members])
+    return parts.joined(np.zeros(len(parts), dtype=np.int64))
 
 
 def _square_atoms(

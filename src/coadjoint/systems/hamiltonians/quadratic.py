@@ -202,7 +202,8 @@ class Quadratic(Summable):
     ) -> Self:
         """Return the Hamiltonian whose M has the given entries, in both triangles and without duplicates."""
         read_finite(entries, "the entries of M")
-        quadratic = cls(0.0, linear=linear, constant=constant)
+        quadratic = cls(np.zeros(1), constant=constant)
+        quadratic._linear = real_array(linear, "linear")
         quadratic._store(n, rows, columns, entries)
         return quadratic
 

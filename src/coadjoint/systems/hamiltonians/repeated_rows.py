@@ -270,7 +270,9 @@ def entries_of_polynomial(polynomial: Polynomial) -> tuple[Entries, Any]:
     n = polynomial.dim
     exact = not all(isinstance(c, float) for _, c, _ in polynomial._factors)
     kind: Any = object if exact else np.float64
-    linear = np.full(n, 0, dtype=kind)
+    linear: npt.NDArray[Any] = np.broadcast_to(0.0, n)
+    if any(sum(powers.values()) == 1 for _, _, powers in polynomial._factors):
+        linear = np.full(n, 0, dtype=kind)
     constant: Any = 0.0
     rows: list[int] = []
     columns: list[int] = []
