@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.equilibrium import DEFECTIVE, GROWTH, RANK_TOLERANCE
 from coadjoint.analysis.neutrons import Neutrons, check_neutrons, intensity, measured_waves, scattering_lengths
 from coadjoint.analysis.structure_factor import StructureFactor, resolution
-from coadjoint.analysis.wave_vectors import Lattice, fitting, lattice_of, spaced_waves
+from coadjoint.analysis.wave_vectors import COMMENSURATE, Lattice, fitting, lattice_of, spaced_waves
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -21,6 +21,7 @@ from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.lattices.spin_model import SpinModel
+from coadjoint.systems.lattices.twists import Twist
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_finite, read_integer
 
@@ -54,8 +55,8 @@ class LinearModes:
         Wave vectors (h, k, l) in reciprocal lattice units of the crystal. Of a powder the lengths of q, (k, 1).
     frequencies : ndarray, shape (k, modes)
         Angular frequencies of the modes that travel along q, ascending; two times `spins_in_cell` divided by 2 for
-        dipoles, times the domains or directions. A negative one belongs to a mode that lowers the energy, about an
-        equilibrium that is no minimum.
+        dipoles, times the domains or directions, and times three of a spiral by twisted boundaries. A negative one
+        belongs to a mode that lowers the energy, about an equilibrium that is no minimum.
     growth : ndarray, shape (k, modes)
         Rates at which modes grow; zero if none does, to round-off.
     intensity : ndarray, shape (k, modes)
@@ -181,6 +182,53 @@ class SitesOfSpins(NamedTuple):
     spins: Floats  # (sites, 3, coordinates): components of the spins, of unit scattering length
     kinds: Floats  # (sites, k), numbers in which sites of equal ions agree
     lattice: Lattice
+    frames: Floats | None = None  # (sites, 3, 3), rotations of the frames of a spiral
+
+
+class Spiral(NamedTuple):
+    """Frames that turn about an axis, with a wave vector in reciprocal edges, in which a twisted lattice repeats."""
+
+    axis: Floats
+    wave: Floats
+
+    def frames(self, places: SitesOfSpins) -> Floats:
+        """Return the rotations of the frames of the sites."""
+        positions = places.cells + places.lattice.sites[places.sites]
+        angles = 2.0 * np.pi * (positions @ self.wave)
+        along, turn, back = self._parts()
+        phases = np.exp(1j * angles)[:, None, None]
+        return np.asarray((along + phases * turn + phases.conj() * back).real)
+
+    def _parts(self) -> Complex:
+        """Return the parts of a rotation by an angle that have the phases 0, the angle, and its negative."""
+        u = self.axis
+        cross = np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
+        across = np.eye(3) - np.outer(u, u)
+        return np.array([np.outer(u, u) + 0j, 0.5 * (across - 1j * cross), 0.5 * (across + 1j * cross)])
+
+    def in_frame(self, images: Floats) -> Floats:
+        """Return the wave vectors in the frames of what scatters at given ones: along the axis, and twice across."""
+        return np.concatenate([images, images - self.wave, images + self.wave])
+
+    def in_space(
+        self, frequencies: Floats, growth: Floats, amplitudes: Complex, reference: Floats
+    ) -> tuple[Floats, Floats, Complex, Floats]:
+        """Return the modes at wave vectors from those of `in_frame`, ascending, with their amplitudes in space."""
+        k, modes = len(frequencies) // 3, frequencies.shape[1]
+        turned = np.einsum("pab,bpkm->apkm", self._parts(), amplitudes.reshape(3, 3, k, modes))
+        order = np.argsort(_beside(frequencies, k), axis=-1, kind="stable")
+        return (
+            np.take_along_axis(_beside(frequencies, k), order, -1),
+            np.take_along_axis(_beside(growth, k), order, -1),
+            np.take_along_axis(_beside(turned, k), order[None], -1),
+            np.take_along_axis(_beside(reference, k), order, -1),
+        )
+
+
+def _beside(values: Complex, k: int) -> Complex:
+    """Return (..., 3 k, modes) or (..., 3, k, modes) as (..., k, 3 modes)."""
+    leading = values.shape[: values.ndim - 2] if values.shape[-2] == 3 * k else values.shape[:-3]
+    return np.moveaxis(values.reshape(*leading, 3, k, -1), -3, -2).reshape(*leading, k, -1)
 
 
 class QuadraticForm(NamedTuple):
@@ -217,6 +265,8 @@ def linear_modes(
     Choose it for dispersions and intensities of spin waves, for the stability of a magnetic order against all wave
     vectors, and beside the spectrum of a run, whose lines are these modes at low temperature. Wave vectors are not
     bound to the cells of the model, which needs to hold the magnetic cell, and as many cells as its bonds need.
+    Spirals of any period have ``twist=``: in frames that turn with the spiral their cell repeats, and at q neutrons see
+    the modes of these frames at q, along the axis, and at q minus and plus the wave vector of the spiral, across it.
 
     Parameters
     ----------
@@ -241,7 +291,7 @@ def linear_modes(
     ------
     ValueError
         The state is no equilibrium, or has a spin of length zero; wave vectors of another shape, or that do not fit the
-        cells of a model with dipoles.
+        cells of a model with dipoles; boundaries that are twisted by half turns.
     TypeError
         The system is no model on a crystal, has forces, or depends on time.
 
@@ -279,8 +329,6 @@ def linear_modes(
         raise TypeError(f"system is {short(system)}; linear_modes needs a model on a crystal, of co.systems.spins")
     if system.hamiltonian.timed:
         raise TypeError(f"the field of {short(system)} depends on time, so that it has no equilibria")
-    if any(system.twist):
-        raise ValueError(f"{short(system)} has twisted boundaries; linear_modes needs a lattice without a twist")
     lattice = lattice_of(system)
     check_neutrons(neutrons, system, lattice)
     momenta, single = momenta_of(system, state)
@@ -295,13 +343,20 @@ def linear_modes(
     axes = np.broadcast_to(np.eye(3, system.dim // count), (count, 3, system.dim // count))
     kinds = np.stack([system.spin, system.moments], axis=1)
     places = SitesOfSpins(system.cells, system.sites, system.size, system.periodic, bonds, axes, kinds, lattice)
+    spiral = None
+    if declared.twist is not None:
+        spiral = _spiral_of(declared.twist, places, momenta[0].reshape(count, 3))
+        places = places if spiral is None else places._replace(frames=spiral.frames(places))
     form = second_variation(system, places, momenta[0])
     images = waves.images
     if form.whole:
         images = fitting(lattice, images, "path of a model with dipoles or other couplings without a bond")
     lengths = np.linalg.norm(images @ lattice.reciprocal, axis=1)
     scattering = np.atleast_2d(scattering_lengths(neutrons, system, lengths))
-    frequencies, growth, amplitudes, reference = modes_at(form, places, images, scattering)
+    moving = images if spiral is None else spiral.in_frame(images)
+    frequencies, growth, amplitudes, reference = modes_at(form, places, moving, scattering)
+    if spiral is not None:
+        frequencies, growth, amplitudes, reference = spiral.in_space(frequencies, growth, amplitudes, reference)
     total = intensity(neutrons, amplitudes, images @ lattice.reciprocal)
     each = np.abs(amplitudes) ** 2
     total, each = (
@@ -328,6 +383,29 @@ def linear_modes(
     )
 
 
+def _spiral_of(twist: Twist, places: SitesOfSpins, spins: Floats) -> Spiral | None:
+    """Return the spiral that a state follows most, of those with a twist; None for twists by whole turns."""
+    turns = np.array(twist.angles) / (2.0 * np.pi)
+    halves = np.abs(2.0 * turns - np.round(2.0 * turns))
+    if np.all(halves < COMMENSURATE):
+        if np.all(np.abs(turns - np.round(turns)) < COMMENSURATE):
+            return None
+        raise ValueError(
+            f"twist is {twist.angles}, half turns, whose waves at q plus and minus that of the spiral are one; give a "
+            "lattice of whole periods, without a twist"
+        )
+    u = np.array(twist.axis)
+    first = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
+    first /= np.linalg.norm(first)
+    across = spins @ (first + 1j * np.cross(u, first))
+    field = np.zeros((int(places.sites.max()) + 1, *places.size), dtype=np.complex128)
+    field[(places.sites, *places.cells.T)] = across * np.exp(-2j * np.pi * (places.cells @ (turns / places.size)))
+    closed = [1 + axis for axis, flag in enumerate(places.periodic) if flag]
+    weights = np.sum(np.abs(np.fft.fftn(field, axes=closed)) ** 2, axis=(0, *({1, 2, 3} - {*closed})), keepdims=True)[0]
+    largest = np.flatnonzero(weights.ravel() >= weights.max() * (1.0 - COMMENSURATE))[0]
+    return Spiral(u, (turns + np.unravel_index(largest, weights.shape)) / places.size)
+
+
 def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticForm:
     """Return the second variation of the energy of spins on a product of equal algebras, by pairs of spins."""
     # Along the orbit, K = U^T H U + (U^T P U)^-1 U^T D U in an orthonormal basis U of the tangent space of each spin,
@@ -339,6 +417,11 @@ def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticF
     gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
     P, D = _blocks_of_sites(system, x, gradient, count)
     _check_equilibrium(system, P, gradient, np.abs(gradient) + np.abs(hessian) @ np.abs(x))
+    blocks = hessian.reshape(count, d, count, d)
+    if places.frames is not None:
+        R, back = places.frames, places.frames.swapaxes(1, 2)
+        x, gradient = (np.einsum("sab,sb->sa", back, one.reshape(count, d)).ravel() for one in (x, gradient))
+        P, D, blocks = back @ P @ R, back @ D @ R, np.einsum("iab,ibjc,jcd->iajd", back, blocks, R, optimize=True)
     numbers, spins, translations = _magnetic_cell(places, x, P, gradient)
     left, sizes, _ = np.linalg.svd(P[spins])
     ranks = np.sum(sizes > RANK_TOLERANCE * sizes.max(), axis=1)
@@ -349,7 +432,6 @@ def second_variation(system: Any, places: SitesOfSpins, x: Floats) -> QuadraticF
     Ut = U.swapaxes(1, 2)
     poisson = Ut @ P[spins] @ U
     own = np.linalg.solve(poisson, Ut @ D[spins] @ U)
-    blocks = hessian.reshape(count, d, count, d)
     first, second, steps, found = [np.arange(len(spins))], [np.arange(len(spins))], [np.zeros((len(spins), 3))], [own]
     offsets, whole = _offsets(places), False
     positions = places.lattice.sites[places.sites]

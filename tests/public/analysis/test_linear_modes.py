@@ -5,6 +5,7 @@ import pytest
 from scipy.constants import physical_constants
 
 import coadjoint as co
+from refusals import refused
 
 HBAR = physical_constants["reduced Planck constant in eV s"][0] * 1e15  # meV ps
 UP = np.array([0.0, 0.0, 1.0])
@@ -297,3 +298,83 @@ def test_stable_saddles_have_quanta_of_both_signs(sign):
     close(modes, [root - b, root + b], rtol=1e-9)
     expected = (along - J * np.cos(np.pi * modes.q[:, 0])) / (2 * root)
     np.testing.assert_allclose(modes.components[:2].sum(axis=2), [expected] * 2, rtol=1e-9)
+
+
+LINE = co.spins.crystal(lattice=(1, 3, 3, 90, 90, 90), sites={"Cu": (0, 0, 0)}, space_group="P m m m")
+
+
+@pytest.mark.parametrize("whole_turns", [0, 1])
+def test_helix_of_any_period_by_twisted_boundaries(whole_turns):
+    """omega = S sqrt((J(q) - J(Q)) ((J(q + Q) + J(q - Q)) / 2 - J(Q))) in frames that turn, seen at q and q -+ Q."""
+    J1, J2, S = -1.0, 0.4, 1.5
+    Q = np.arccos(-J1 / (4 * J2))
+    first, second = LINE.bonds(2)
+    twist = (5 * Q - 2 * np.pi * whole_turns, 0, 0)
+    chain = co.systems.spins(LINE, (5, 1, 1), periodic=(True, False, False), spin=S, twist=twist)
+    chain = chain.exchange(first, J1).exchange(second, J2)
+    turn = Q * np.arange(5)
+    helix = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1).ravel()
+    modes = co.spectra.linear_modes(chain, helix, [(0, 0, 0), (1, 0, 0)], points=20)
+
+    def J(q):
+        return 2 * J1 * np.cos(q) + 2 * J2 * np.cos(2 * q)
+
+    def omega(q):
+        return S * np.sqrt(np.maximum(0, (J(q) - J(Q)) * (0.5 * (J(q + Q) + J(q - Q)) - J(Q))))
+
+    k = 2 * np.pi * modes.q[:, :1]
+    expected = np.sort(np.concatenate([omega(k), omega(k - Q), omega(k + Q)], axis=1), axis=1)
+    np.testing.assert_allclose(modes.frequencies, expected, atol=1e-12)
+    assert modes.stable and modes.spins_in_cell == 1
+    assert modes.plot().axes[0].get_ylabel()
+
+
+def cone(cells, **twisted):
+    """Return a model of two sites in a cell, with a cone about an axis in general position."""
+    crystal = co.spins.crystal(
+        lattice=(2, 3, 3.5, 90, 80, 90), sites={"Cu": (0, 0.1, 0), "Ni": (0.4, 0, 0.2)}, space_group="P 1"
+    )
+    axis = np.array([0.0, 0.6, 0.8])
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    model = co.systems.spins(
+        crystal, (cells, 1, 1), spin=[1.0, 1.5], periodic=(True, False, False), axis=axis, **twisted
+    )
+    for bond in crystal.bonds(4.01):
+        if bond.offset == (0, 0, 0):
+            model = model.exchange(bond, -0.3)
+        elif bond.first == bond.second and bond.offset[1:] == (0, 0):
+            J = np.eye(3) + 0.1 * cross if abs(bond.offset[0]) == 1 else -0.25 / np.cos(0.8 * np.pi) * np.eye(3)
+            model = model.exchange(bond, J)
+    for site in (0, 1):
+        model = model.single_ion(site, 0.3 * np.outer(axis, axis))
+    return model.field(0.4 * axis), axis
+
+
+@pytest.mark.parametrize("neutrons", [None, co.spectra.Neutrons(temperature=3.0), co.spectra.Neutrons()])
+def test_twisted_cones_have_the_spectra_of_whole_periods(neutrons):
+    """Two turns in five cells, and a twist of six."""
+    whole, axis = cone(5)
+    turn = 0.8 * np.pi * (whole.cells[:, :1] + 0.4 * whole.sites[:, None])
+    start = np.cos(turn) * [1, 0, 0] + np.sin(turn) * np.cross(axis, (1, 0, 0)) + 0.1 * axis
+    x = co.equilibrium(whole, (start / np.linalg.norm(start, axis=1, keepdims=True)).ravel()).x
+    twisted, _ = cone(6, twist=(6 * 0.8 * np.pi, 0, 0))
+    path, energies = [(0.1, 0, 0), (1.3, 0.7, 0.2)], np.linspace(-0.5, 12, 200)
+    found, expected = (
+        co.spectra.linear_modes(one, state, path, points=12, neutrons=neutrons)
+        for one, state in ((twisted, np.concatenate([x, x[:6]])), (whole, x))
+    )
+    assert found.spins_in_cell == 2 and expected.spins_in_cell == 10
+    S, T = (modes.spectrum(energies, 0.3) for modes in (found, expected))
+    for one, other in ((S.intensity, T.intensity), (S.components, T.components)):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * other.max())
+
+
+def test_half_turns_of_twisted_boundaries_are_refused():
+    chain = co.systems.spins(LINE, (4, 1, 1), periodic=(True, False, False), twist=(np.pi, 0, 0))
+    with refused(ValueError, "half turns"):
+        co.spectra.linear_modes(chain.exchange(LINE.bonds(1)["1"], -1.0), [0, 0, 1] * 4, [(0, 0, 0), (1, 0, 0)])
+    turned = co.systems.spins(LINE, (4, 1, 1), periodic=(True, False, False), twist=(2 * np.pi, 0, 0))
+    modes = co.spectra.linear_modes(
+        turned.exchange(LINE.bonds(1)["1"], -1.0), [0, 0, 1] * 4, [(0, 0, 0), (1, 0, 0)], points=4
+    )
+    np.testing.assert_allclose(modes.frequencies[:, 0], [0, 2, 4, 2, 0], atol=1e-12)
