@@ -46,6 +46,14 @@ def law(x, t, gain, tilt):
     return -gain * x * x + tilt * np.sin(t)
 
 
+def filled(x, t, gain, power, none):
+    found = np.zeros(3)
+    for i in range(3):
+        found[i] = -gain * x[i] * (x @ x) ** 0.5 + none * np.sin(t)
+    found[0] += 0.1 * np.exp(-x[1]) ** power
+    return 1.0 * found
+
+
 # Of systems whose energies are shifted if they have an attitude: forces, a scheme, and a number of members.
 CASES = {
     "one rate": (BODY, (F.LinearDamping(0.3),), co.Splitting(), 1),
@@ -56,6 +64,12 @@ CASES = {
     "constant, then damped": (BODY, (F.Torque(AIM), F.LinearDamping(0.3)), co.GaussLegendre(1), 1),
     "of time": (BODY, (F.Torque(lambda t: np.array([np.sin(t), 0.2, 0.1 * t])),), co.Splitting(order=4), 2),
     "law": (BODY, (F.Torque(law, arguments={"gain": 0.3, "tilt": AIM}),), co.Splitting(order=8), 1),
+    "law that fills an array": (
+        BODY,
+        (F.Torque(filled, arguments={"gain": 1.0, "power": 1.0, "none": 0.0}), F.LinearDamping(0.1)),
+        co.Splitting(),
+        2,
+    ),
     "given flow": (BODY, (F.OwnForce(lambda x, t, tau: x / (1.0 + 0.2 * tau * x * x)),), co.Splitting(), 2),
     "double bracket": (BODY, (F.DoubleBracketDamping(0.4, (0.5, 1.0, 2.0)),), co.Splitting(order=4), 1),
     "matrix as metric": (BODY, (F.DoubleBracketDamping(0.4, METRIC),), co.Splitting(), 1),

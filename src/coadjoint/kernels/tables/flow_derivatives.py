@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.compiled import addresses_by_coefficients, addresses_of, as_structure
 from coadjoint.kernels.tables.field import terms_of_field
-from coadjoint.kernels.tables.forces import compiled_flow, flow_table
+from coadjoint.kernels.tables.forces import compiled_flow, flow_table, law_of_flow
 from coadjoint.program.added_part import terms_of
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.coefficients import with_hamiltonian
 from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.hamiltonians.traced_function import TracingError
 
 Floats = NDArray[np.float64]
 NO_ADDRESSES = np.zeros(0, dtype=np.int64)
@@ -62,7 +64,8 @@ class FlowCoefficients(NamedTuple):
 
     `covered` are the numbers of the entries by which it is differentiated by these coefficients: of those that are
     `moved`, with a coefficient each behind the others, by differences of flows, and of those that are `rounded`, by
-    differences of the coefficients. `energy` is the derivative of H by entries.
+    differences of the coefficients. `energy` is the derivative of H by entries, and `law` has the derivatives of the
+    function of a torque, the number of its coefficients, and whether it takes the time.
     """
 
     kind: str
@@ -71,6 +74,7 @@ class FlowCoefficients(NamedTuple):
     covered: frozenset[int] = frozenset()
     multiples: Multiples = NO_MULTIPLES
     energy: EnergyDerivative | None = None
+    law: tuple[Callable[..., Any], Callable[..., Any], int, bool] | None = None
     moved: tuple[int, ...] = ()
     rounded: frozenset[int] = frozenset()
     in_python: bool = True
@@ -90,7 +94,9 @@ COEFFICIENTS = {
     "KICKS": ("rate",),
     "HAMILTONIAN_NOISE": ("rate",),
 }
-# By how much a derivative of a number of a table may differ from a whole one, which it is by numbers of the user.
+ORDER_OF_LAWS = 2  # of schemes with one step of the classical Runge-Kutta method
+# By how much derivatives of the numbers of a table, relative to the largest one or to 1, may differ from whole ones,
+# which they are by numbers of the user.
 ROUNDING = 1e-6
 
 
@@ -106,6 +112,8 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     found = in_python
     if kind in AFFINE_KINDS:
         found = FlowCoefficients("AFFINE", first)
+    elif kind == "OF_STATE" and not table.extent and (law := _of_law(system, j, entries, first)):
+        found = law
     elif kind in ("OF_STATE", "BY_FLOW"):
         found = (
             FlowCoefficients("ALONG", first) if compiled_flow(system, j, order, beside=True) is not None else in_python
@@ -157,15 +165,24 @@ def _of_numbers(
         own = flow_table(one, j, order)
         return np.concatenate([getattr(own, name) for name in names])
 
-    numbers, triplets = numbers_of(system), list[tuple[int, int, float]]()
-    covered, rounded = set[int](), set[int]()
+    return _with_numbers(found, j, numbers_of(system), numbers_of, entries)
+
+
+def _with_numbers(
+    found: FlowCoefficients, j: int, numbers: Floats, numbers_of: Callable[[Any], Floats], entries: Sequence[Any]
+) -> FlowCoefficients:
+    """Return the coefficients of a flow that are some numbers, differentiated by the entries on which these depend."""
+    triplets, covered, rounded = list[tuple[int, int, float]](), set[int](), set[int]()
     for number, entry in enumerate(entries):
         if j not in entry.flows:
             continue
-        change = entry.nearby.difference(numbers_of, numbers)
+        try:
+            change = entry.nearby.difference(numbers_of, numbers)
+        except TracingError:
+            continue
         covered.add(number)
         whole = np.round(change)
-        if np.max(np.abs(change - whole), initial=0.0) < ROUNDING:
+        if np.max(np.abs(change - whole), initial=0.0) <= ROUNDING * min(1.0, np.max(np.abs(change), initial=0.0)):
             change = whole
         else:
             rounded.add(number)
@@ -175,6 +192,35 @@ def _of_numbers(
         covered=frozenset(covered),
         rounded=frozenset(rounded),
         multiples=Multiples.of_triplets(triplets),
+    )
+
+
+def _of_law(system: Any, j: int, entries: Sequence[Any], first: int) -> FlowCoefficients | None:
+    """Return the coefficients of a torque whose operations are known: the numbers that change; None for others."""
+    if system.has_matrices:
+        return None
+    try:
+        law = law_of_flow(system, j, ORDER_OF_LAWS)
+        form = law.form()
+
+        def numbers_of(one: Any) -> Floats:
+            other = law_of_flow(one, j, ORDER_OF_LAWS)
+            if other.form() != form:
+                raise TracingError("its operations depend on parameters")
+            return other.numbers
+
+        found = _with_numbers(FlowCoefficients("ALONG", first), j, law.numbers, numbers_of, entries)
+        moving = np.unique(found.multiples.position - first)
+        if law.entries(moving.tolist()) is None:
+            return None
+        functions = law.derivatives(moving.tolist())
+    except TracingError:
+        return None
+    place = np.searchsorted(moving, found.multiples.position - first)
+    return found._replace(
+        own=len(moving),
+        multiples=found.multiples._replace(position=first + place),
+        law=(*functions, len(moving), law.graph.timed),
     )
 
 
@@ -248,6 +294,15 @@ def flow_derivatives(
         shape = ("MULTIPLE", "DIAGONAL", "FULL")[tangents[0].ndim]
         unit = np.eye(system.dim) if shape == "FULL" else 1.0
         matrix = np.concatenate([np.ravel(one - unit) for one in tangents])
+    elif flow.law is not None:
+        n, what = system.dim, "the derivative of a torque"
+        pulled, pushed, own, timed = flow.law
+        sizes = ((pulled, 2 * n, n + own), (pushed, 2 * n + own, n))
+        kept_laws = [
+            compiled_function(one, size, results, scalar=False, flat=True, timed=timed, what=what)
+            for one, size, results in sizes
+        ]
+        functions, owners = np.array([one.address for one in kept_laws], dtype=np.int64), tuple(kept_laws)
     elif flow.kind == "ALONG":
         beside = compiled_flow(system, j, order, beside=True)
         assert beside is not None
@@ -269,7 +324,8 @@ def flow_derivatives(
         found = _moved_flows(system, j, entries[number], order)
         assert found is not None
         distances.append(found[0])
-        flows = [*found[1], _stepped_flow(system, j, entries[number], order) if flow.kind == "ALONG" else None]
+        stepped = flow.kind == "ALONG" and flow.law is None
+        flows = [*found[1], _stepped_flow(system, j, entries[number], order) if stepped else None]
         nearby += [None if one is None else as_structure(one[0]) for one in flows]
         kept += [one[1] for one in flows if one is not None]
     table = ForceDerivatives(

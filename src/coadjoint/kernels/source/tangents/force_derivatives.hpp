@@ -1,6 +1,7 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include "tangents/law_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
 #include "tangents/shift_factor.hpp"
@@ -30,7 +31,8 @@ class ForceDerivative {
           unit(n), direction(n) {
         if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
             exponential.reset(new MatrixExponential(n));
-        if (table.kind == derivatives::ALONG)
+        if (table.kind == derivatives::ALONG && !table.along) law.reset(new LawDerivative(flow, table, n));
+        if (table.kind == derivatives::ALONG && table.along)
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
         if (table.kind == derivatives::ON_ORBIT && force.kind == HAMILTONIAN_NOISE)
             noise.reset(new NoiseDerivative(force, tables.field, table));
@@ -54,7 +56,8 @@ class ForceDerivative {
             std::copy_n(image, n, images.data() + v * n);
         });
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
-        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), count * n, vectors);
+        if (along && !whole) std::copy_n(images.data(), count * n, vectors);
+        if (law) law->push(x, at.t, at.tau, vectors, count, own, all.coefficients);
         if (orbit && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients))
             throw NotDifferentiated();
@@ -65,7 +68,7 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
-        bool probed = false, steps = table.kind == derivatives::ALONG && !whole;
+        bool probed = false, steps = along && !whole;
         for (int64_t k = 0; k < table.moved; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
@@ -95,12 +98,13 @@ class ForceDerivative {
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, end, k, !whole);
+            difference(at, x, end, k, along && !whole);
             for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
         }
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
-        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), n, row);
+        if (along && !whole) std::copy_n(images.data(), n, row);
+        if (law) law->pull(x, at.t, at.tau, row, own);
         if (orbit && !orbit->pull(x, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own)) throw NotDifferentiated();
     }
@@ -126,6 +130,7 @@ class ForceDerivative {
     std::unique_ptr<Force> along;
     std::unique_ptr<OrbitDerivative> orbit;
     std::unique_ptr<NoiseDerivative> noise;
+    std::unique_ptr<LawDerivative> law;
     std::vector<std::unique_ptr<Force>> nearby;
     std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
 
@@ -370,7 +375,7 @@ class ForceDerivative {
     template <class VectorOf, class Take>
     bool is_in_python(const FlowTime& at, const double* x, const double* end, int64_t count, const VectorOf& vector_of,
                       const Take& take) {
-        if (table.kind != derivatives::ALONG) return table.kind == derivatives::IN_PYTHON;
+        if (!along) return table.kind == derivatives::IN_PYTHON;
         direction.assign(n, 0.0), tangent.assign(n, 0.0);
         for (int64_t v = 0; v < count; ++v) {
             const double *const vector = vector_of(v), *const image = image_of(at, x, vector);
