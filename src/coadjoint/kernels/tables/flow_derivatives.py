@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.compiled import addresses_by_coefficients, addresses_of, as_structure
 from coadjoint.kernels.tables.field import terms_of_field
-from coadjoint.kernels.tables.forces import ForceTable, compiled_flow, flow_table
+from coadjoint.kernels.tables.forces import compiled_flow, flow_table, law_of_flow
 from coadjoint.program.added_part import terms_of
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.systems.coefficients import with_hamiltonian
 from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.hamiltonians.traced_function import TracingError
 
 Floats = NDArray[np.float64]
 NO_ADDRESSES = np.zeros(0, dtype=np.int64)
@@ -60,7 +63,9 @@ class FlowCoefficients(NamedTuple):
     """How a flow is differentiated, its `own` coefficients from `first` on, and what they are of `entries`.
 
     `covered` are the numbers of the entries by which it is differentiated by these coefficients: of those that are
-    `moved`, with a coefficient each behind the others, by differences. `energy` is the derivative of H by entries.
+    `moved`, with a coefficient each behind the others, by differences of flows, and of those that are `rounded`, by
+    differences of the coefficients. `energy` is the derivative of H by entries, and `law` has the derivatives of the
+    function of a torque, the number of its coefficients, and whether it takes the time.
     """
 
     kind: str
@@ -69,7 +74,9 @@ class FlowCoefficients(NamedTuple):
     covered: frozenset[int] = frozenset()
     multiples: Multiples = NO_MULTIPLES
     energy: EnergyDerivative | None = None
+    law: tuple[Callable[..., Any], Callable[..., Any], int, bool] | None = None
     moved: tuple[int, ...] = ()
+    rounded: frozenset[int] = frozenset()
     in_python: bool = True
 
     def of_entries(self, entries: Mapping[int, int]) -> Multiples:
@@ -79,8 +86,17 @@ class FlowCoefficients(NamedTuple):
 
 
 # Kinds of flows x -> E x + b.
-AFFINE_KINDS = ("DAMPING", "CONSTANT", "OF_TIME", "MODE_RATES", "MODE_NOISE")
-# By how much a derivative of a number of a table may differ from a whole one, which it is by numbers of the user.
+AFFINE_KINDS = ("DAMPING", "CONSTANT", "OF_TIME", "MODE_RATES", "MODE_NOISE", "KICKS")
+# Numbers in the tables of flows by which these are differentiated.
+COEFFICIENTS = {
+    "DAMPING": ("rate", "aim"),
+    "CONSTANT": ("aim",),
+    "KICKS": ("rate",),
+    "HAMILTONIAN_NOISE": ("rate",),
+}
+ORDER_OF_LAWS = 2  # of schemes with one step of the classical Runge-Kutta method
+# By how much derivatives of the numbers of a table, relative to the largest one or to 1, may differ from whole ones,
+# which they are by numbers of the user.
 ROUNDING = 1e-6
 
 
@@ -89,21 +105,29 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     force, plain = system.flows[j][1], system.unforced
     using = [number for number, entry in enumerate(entries) if j in entry.flows]
     in_python = FlowCoefficients("IN_PYTHON", first)
-    if force.around_steps:
+    if force.around_steps and plain.has_matrices:
         return in_python
     table = flow_table(system, j, order)
     kind = {code: name for name, code in codes("ForceKind").items()}[table.kind]
     found = in_python
     if kind in AFFINE_KINDS:
         found = FlowCoefficients("AFFINE", first)
-        if kind == "CONSTANT" or (kind == "DAMPING" and not table.amplitude.any()):
-            found = _of_numbers(system, j, order, table, entries, found)
+    elif kind == "OF_STATE" and not table.extent and (law := _of_law(system, j, entries, first)):
+        found = law
     elif kind in ("OF_STATE", "BY_FLOW"):
         found = (
             FlowCoefficients("ALONG", first) if compiled_flow(system, j, order, beside=True) is not None else in_python
         )
-    elif kind == "ON_ORBIT" and not table.extent and all(term.differentiable for term in plain.hamiltonian.terms()):
-        found = _on_orbit(system, j, entries, using, first)
+    elif kind == "ON_ORBIT" and all(term.differentiable for term in plain.hamiltonian.terms()):
+        found = _on_orbit(system, j, entries, using, first, 3 if table.extent else 2)
+    elif kind == "HAMILTONIAN_NOISE" and all(one.differentiable for H in _energies(force, plain) for one in H.terms()):
+        found = FlowCoefficients("ON_ORBIT", first)
+    names = COEFFICIENTS.get(kind, ())
+    if kind == "DAMPING" and table.amplitude.any():
+        names = (*names, "basis")
+    # Squares of which functions consist have the strength of a noise in them.
+    if names and found is not in_python and not (kind == "HAMILTONIAN_NOISE" and (table.aim < 0.0).any()):
+        found = _of_numbers(system, j, order, names, entries, found)
     if found.kind == "IN_PYTHON":
         return found
     moved = [
@@ -124,30 +148,87 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     )
 
 
+def _energies(force: Any, plain: Any) -> list[Any]:
+    """Return the functions in the terms of a Hamiltonian noise, those of each in their order, each once."""
+    found = {
+        k: H for term in force.terms(plain).terms for k, H in zip(term.indices.tolist(), term.energies, strict=False)
+    }
+    return list(found.values())
+
+
 def _of_numbers(
-    system: Any, j: int, order: int, table: ForceTable, entries: Sequence[Any], found: FlowCoefficients
+    system: Any, j: int, order: int, names: Sequence[str], entries: Sequence[Any], found: FlowCoefficients
 ) -> FlowCoefficients:
-    """Return the coefficients of a flow that are the numbers in its table, of which some are numbers of the user."""
+    """Return the coefficients of a flow that are numbers in its table, with their derivatives by entries."""
 
     def numbers_of(one: Any) -> Floats:
         own = flow_table(one, j, order)
-        return np.concatenate([own.rate, own.aim]) if own.kind == codes("ForceKind")["DAMPING"] else own.aim
+        return np.concatenate([getattr(own, name) for name in names])
 
-    numbers, triplets, covered = numbers_of(system), list[tuple[int, int, float]](), set[int]()
+    return _with_numbers(found, j, numbers_of(system), numbers_of, entries)
+
+
+def _with_numbers(
+    found: FlowCoefficients, j: int, numbers: Floats, numbers_of: Callable[[Any], Floats], entries: Sequence[Any]
+) -> FlowCoefficients:
+    """Return the coefficients of a flow that are some numbers, differentiated by the entries on which these depend."""
+    triplets, covered, rounded = list[tuple[int, int, float]](), set[int](), set[int]()
     for number, entry in enumerate(entries):
         if j not in entry.flows:
             continue
-        change = entry.nearby.difference(numbers_of, numbers)
+        try:
+            change = entry.nearby.difference(numbers_of, numbers)
+        except TracingError:
+            continue
+        covered.add(number)
         whole = np.round(change)
-        if np.max(np.abs(change - whole), initial=0.0) < ROUNDING:
-            covered.add(number)
-            triplets += [(found.first + k, number, float(whole[k])) for k in np.flatnonzero(whole).tolist()]
-    return found._replace(own=len(numbers), covered=frozenset(covered), multiples=Multiples.of_triplets(triplets))
+        if np.max(np.abs(change - whole), initial=0.0) <= ROUNDING * min(1.0, np.max(np.abs(change), initial=0.0)):
+            change = whole
+        else:
+            rounded.add(number)
+        triplets += [(found.first + k, number, float(change[k])) for k in np.flatnonzero(change).tolist()]
+    return found._replace(
+        own=len(numbers),
+        covered=frozenset(covered),
+        rounded=frozenset(rounded),
+        multiples=Multiples.of_triplets(triplets),
+    )
 
 
-def _on_orbit(system: Any, j: int, entries: Sequence[Any], using: Sequence[int], first: int) -> FlowCoefficients:
-    """Return the coefficients of a damping on orbits: logarithms of its directions, and coefficients of H."""
-    n, known = system.dim, system.flows[j][1].scalings()
+def _of_law(system: Any, j: int, entries: Sequence[Any], first: int) -> FlowCoefficients | None:
+    """Return the coefficients of a torque whose operations are known: the numbers that change; None for others."""
+    if system.has_matrices:
+        return None
+    try:
+        law = law_of_flow(system, j, ORDER_OF_LAWS)
+        form = law.form()
+
+        def numbers_of(one: Any) -> Floats:
+            other = law_of_flow(one, j, ORDER_OF_LAWS)
+            if other.form() != form:
+                raise TracingError("its operations depend on parameters")
+            return other.numbers
+
+        found = _with_numbers(FlowCoefficients("ALONG", first), j, law.numbers, numbers_of, entries)
+        moving = np.unique(found.multiples.position - first)
+        if law.entries(moving.tolist()) is None:
+            return None
+        functions = law.derivatives(moving.tolist())
+    except TracingError:
+        return None
+    place = np.searchsorted(moving, found.multiples.position - first)
+    return found._replace(
+        own=len(moving),
+        multiples=found.multiples._replace(position=first + place),
+        law=(*functions, len(moving), law.graph.timed),
+    )
+
+
+def _on_orbit(
+    system: Any, j: int, entries: Sequence[Any], using: Sequence[int], first: int, kinds: int
+) -> FlowCoefficients:
+    """Return the coefficients of a damping on orbits: `kinds` of its direction by coordinate, and coefficients of H."""
+    n, known = system.dim, system.flows[j][1].scalings(system.unforced)
     triplets, covered = list[tuple[int, int, float]](), set[int]()
     energies: dict[str, EnergyDerivative] = {}
     for number in using:
@@ -157,9 +238,9 @@ def _on_orbit(system: Any, j: int, entries: Sequence[Any], using: Sequence[int],
             covered.add(number)
         elif entry.field in known:
             covered.add(number)
-            for start, factor in zip((first, first + n), known[entry.field], strict=True):
-                at = [entry.entry] if np.ndim(factor) else range(n)
-                triplets += [(start + i, number, float(np.broadcast_to(factor, n)[i])) for i in at]
+            for start, factor in zip(range(first, first + n * kinds, n), known[entry.field], strict=True):
+                values = np.broadcast_to(factor if np.ndim(factor) < 2 else factor[entry.entry], n)
+                triplets += [(start + i, number, float(values[i])) for i in np.flatnonzero(values).tolist()]
     apart = {name: one.apart for name, one in energies.items()}
     joined = EnergyDerivative.joined(list(apart.values()))
     added, of_monomials = terms_of(joined, n)
@@ -168,8 +249,8 @@ def _on_orbit(system: Any, j: int, entries: Sequence[Any], using: Sequence[int],
         of_energy = one.of_energy(energies[name])
         numbers = {entries[number].entry: number for number in using if entries[number].name == name}
         renumbered = np.array([numbers[k] for k in of_energy.number.tolist()], dtype=np.int64)
-        multiples.append(Multiples(first + 2 * n + of_energy.position, renumbered, of_energy.factor))
-    count = 2 * n + len(added.offset) + len(added.weight) + len(added.coefficient)
+        multiples.append(Multiples(first + kinds * n + of_energy.position, renumbered, of_energy.factor))
+    count = kinds * n + len(added.offset) + len(added.weight) + len(added.coefficient)
     return FlowCoefficients("ON_ORBIT", first, count, frozenset(covered), concatenated(multiples), joined)
 
 
@@ -208,16 +289,30 @@ def flow_derivatives(
     matrix, shape, hessians, functions = np.zeros(len(lengths)), "MULTIPLE", NO_ADDRESSES, NO_ADDRESSES
     added = TermTable().table(float)
     force = system.flows[j][1]
-    if flow.kind == "AFFINE":
+    if flow.kind == "AFFINE" and not force.random:  # the kernels have the matrix of a noise from its table
         tangents = [_tangent(force, plain, 0.5 * length) for length in lengths]
         shape = ("MULTIPLE", "DIAGONAL", "FULL")[tangents[0].ndim]
         unit = np.eye(system.dim) if shape == "FULL" else 1.0
         matrix = np.concatenate([np.ravel(one - unit) for one in tangents])
+    elif flow.law is not None:
+        n, what = system.dim, "the derivative of a torque"
+        pulled, pushed, own, timed = flow.law
+        sizes = ((pulled, 2 * n, n + own), (pushed, 2 * n + own, n))
+        kept_laws = [
+            compiled_function(one, size, results, scalar=False, flat=True, timed=timed, what=what)
+            for one, size, results in sizes
+        ]
+        functions, owners = np.array([one.address for one in kept_laws], dtype=np.int64), tuple(kept_laws)
     elif flow.kind == "ALONG":
         beside = compiled_flow(system, j, order, beside=True)
         assert beside is not None
         structure = as_structure(beside[0])
         along, owners = ctypes.addressof(structure), (structure, *beside[1])
+    elif flow.kind == "ON_ORBIT" and flow.energy is None:
+        each = [terms_of_field(with_hamiltonian(plain, H)) for H in _energies(force, plain)]
+        compiled = [addresses_of(terms.functions, len(terms), "hessian", force.label) for terms in each]
+        hessians = np.concatenate([NO_ADDRESSES, *(addresses for addresses, _ in compiled)])
+        owners = tuple(kept for _, kept in compiled)
     elif flow.kind == "ON_ORBIT" and flow.energy is not None:
         terms = terms_of_field(plain)
         hessians, owners = addresses_of(terms.functions, len(terms), "hessian", "the Hamiltonian")
@@ -229,7 +324,8 @@ def flow_derivatives(
         found = _moved_flows(system, j, entries[number], order)
         assert found is not None
         distances.append(found[0])
-        flows = [*found[1], _stepped_flow(system, j, entries[number], order) if flow.kind == "ALONG" else None]
+        stepped = flow.kind == "ALONG" and flow.law is None
+        flows = [*found[1], _stepped_flow(system, j, entries[number], order) if stepped else None]
         nearby += [None if one is None else as_structure(one[0]) for one in flows]
         kept += [one[1] for one in flows if one is not None]
     table = ForceDerivatives(

@@ -40,6 +40,8 @@ from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise, S
 from coadjoint.systems.forces.orbit_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
+from coadjoint.systems.forces.traced_law import TracedLaw, traced_law
+from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows
 from coadjoint.systems.system_stacks import SystemStack, different
 from coadjoint.systems.user_functions import is_called_in_python
@@ -121,6 +123,7 @@ class _ForceTableBuilder:
         beside: bool = False,
     ) -> None:
         self.called: Callable[..., Any] | None = None
+        self.arguments = ""
         self._system, self._beside = system, beside
         self._compiles, self.n, self._order = compiles, system.dim, order
         self._work_integrals = work_integral, work_integrals
@@ -302,7 +305,7 @@ class _ForceTableBuilder:
         )
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
-        self.called = function
+        self.called, self.arguments = function, arguments
         if self._compiles and is_called_in_python(function):
             if self._beside:
                 raise TypeError(f"{what} is called in Python, without tangents")
@@ -505,6 +508,15 @@ def flow_table(system: Any, j: int, order: int) -> ForceTable:
     reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
     table: ForceTable = system.flows[j][1].describe_to(reader, system.unforced)
     return table
+
+
+def law_of_flow(system: Any, j: int, order: int) -> TracedLaw:
+    """Return the function of the flow j, of a torque, by its operations; TracingError if it cannot be recorded."""
+    reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
+    system.flows[j][1].describe_to(reader, system.unforced)
+    if reader.called is None or is_called_in_python(reader.called):
+        raise TracingError("it is called in Python")
+    return traced_law(reader.called, system.dim, reader.arguments != "x")
 
 
 def compiled_flow(

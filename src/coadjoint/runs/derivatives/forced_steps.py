@@ -28,7 +28,6 @@ from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, Der
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.forces.orbit_flow import pull_through
 from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
 
@@ -120,13 +119,6 @@ class FlowsInPython:
     def _pull(self, at: FlowAt, whole: bool, row: Floats, by_entries: Floats) -> Floats:
         system, entries = self._member(at.member)
         force = on_side(system.flows[at.flow][1], at.side)
-        steps = self._orbit_steps(at, system, entries, force) if whole else ()
-        if steps:
-            row, found = pull_through(steps, force.scalings(), row, *_parameters(entries, at.flow))
-            for number, entry in enumerate(entries):
-                if at.flow in entry.flows:
-                    by_entries[number] += found[entry.name][entry.entry]
-            return row
         for number, change in self._changes(at, entries, range(len(entries))):
             by_entries[number] += change @ row
         return flow_of_force(force, system.unforced, at.x, *at.when, self._order).cotangent(row) if whole else row
@@ -138,13 +130,6 @@ class FlowsInPython:
             entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in self._entries]
             self._members[member] = numbered(self._system), entries
         return self._members[member]
-
-    def _orbit_steps(self, at: FlowAt, system: Any, entries: Sequence[FlowEntry], force: Any) -> Sequence[Any]:
-        """Return the flow by sparse products, if there is a formula for it and for all parameters."""
-        known = force.scalings()
-        if not all(field in known for field in _parameters(entries, at.flow)[0].values()):
-            return ()
-        return force.orbit_steps(system.unforced, at.x, *at.when)  # type: ignore[no-any-return]
 
     def _by_entry(self, at: FlowAt, number: int) -> Floats:
         """Return the derivative of the flow by an entry."""
@@ -161,13 +146,6 @@ class FlowsInPython:
     def _after(self, at: FlowAt, system: System) -> Floats:
         force = on_side(system.flows[at.flow][1], at.side)
         return np.asarray(force.flow_of_order(system.unforced, at.x, *at.when, self._order), dtype=np.float64)
-
-
-def _parameters(entries: Sequence[FlowEntry], j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
-    """Return the fields and the derivatives of the energy on which the flow j depends."""
-    own = [entry for entry in entries if j in entry.flows]
-    energies = {entry.name: entry.energy for entry in own if entry.energy is not None}
-    return {entry.name: entry.field for entry in own if entry.energy is None}, energies
 
 
 class ForcedTables:
@@ -270,7 +248,7 @@ class ForcedTables:
             pieces.append(of_factors._replace(position=self._factors + of_factors.position))
             coefficients[name] = concatenated(pieces)
             rule = inner.rules.get(name, EXACT)
-            moved = called or any(number in flow.moved for flow in self._flows for number in numbers)
+            moved = called or any({*numbers} & {*flow.moved, *flow.rounded} for flow in self._flows)
             rules[name] = DIFFERENCES if moved and rule == EXACT else rule
         return DerivativeTables(
             tables_at=steps_at,

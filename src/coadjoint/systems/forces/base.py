@@ -345,13 +345,13 @@ class Force(Abstract):
         """
         return None
 
-    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_steps`."""
-        return {}
+    def scalings(self, system: Any) -> Mapping[str, tuple[Any, ...]]:
+        """Return the derivatives of the coefficients of a flow on orbits by parameters, as the kernels read them.
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Sequence[Any]:
-        """Return the flow of a force as steps of `orbit_flow`: exponentials of sparse generators v; none by default."""
-        return ()
+        Of log v of the noise and of the damping, or of spins, whose directions have three coefficients, of log v of the
+        noise, of the rates and of the multiples of the field: numbers, (n,), or (entries, n).
+        """
+        return {}
 
     @abstractmethod
     def describe_to(self, reader: ForceReader, system: Any) -> Any:

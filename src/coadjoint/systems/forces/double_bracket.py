@@ -26,15 +26,8 @@ from coadjoint.systems.forces.base import (
     read_seed,
 )
 from coadjoint.systems.forces.orbit_flow import (
-    MAX_MIDPOINTS,
-    Exponential,
-    Midpoint,
-    OfSpins,
-    bracket_of,
-    constant_hessian,
     exponential,
     exponential_with_tangent,
-    is_settled,
     metric_root,
     midpoint,
 )
@@ -181,50 +174,14 @@ class DoubleBracketDamping(Force):
             raise self._not_converged(t, found.residual)
         return found.middle, found.direction
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
-        """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
-        step = self._midpoint_step(system, x, t, tau)
-        return [] if step is None else [step]
-
-    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | OfSpins | None:
-        metric = np.asarray(self._metric_on(system))
-        return self._settled_midpoint(system, x, t, tau * self.alpha, metric)
-
-    def _settled_midpoint(
-        self, system: Any, x: NDArray[np.float64], t: float, scale: float, metric: Any, added: Any = 0.0
-    ) -> Midpoint | None:
-        """Return the midpoint rule of a damping, with the multiples `added` of grad H in its direction."""
-        known = system.algebra is not None and not system.has_matrices
-        form = constant_hessian(system.hamiltonian, system.dim) if known else None
-        if form is None:
-            return None
-        hessian, linear = form
-        bracket = bracket_of(system.algebra, system.sign)
-
-        def applied(y: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray(apply_metric(metric, y))
-
-        middle, last_change = x, np.inf
-        for _ in range(MAX_MIDPOINTS):
-            before, gradient = middle, hessian @ middle + linear
-            v = scale * applied(bracket.product(middle, gradient)) + added * gradient
-            half = Exponential.of(bracket, 0.5 * v, x)
-            middle = half.end
-            change = float(np.sum(np.abs(middle - before)))
-            if is_settled(change, last_change, x):
-                gradient = hessian @ middle + linear
-                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian, added)
-            last_change = change
-        raise self._not_converged(t, last_change)
-
-    def scalings(self) -> dict[str, tuple[Any, Any]]:
-        """Return the derivatives of log v by parameters, of the noise and of the damping."""
+    def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
         metric = np.asarray(self.metric)
-        found: dict[str, tuple[Any, Any]] = {}
+        found: dict[str, tuple[Any, ...]] = {}
         if self.alpha > 0.0:
             found["alpha"] = 0.5 / self.alpha, 1.0 / self.alpha
         if metric.ndim < 2 and np.all(metric > 0.0):
-            found["metric"] = (0.5 / metric, 1.0 / metric)
+            each = np.diag(1.0 / metric) if metric.ndim else 1.0 / metric
+            found["metric"] = (0.5 * each, each)
         return found
 
     def _not_converged(self, t: Any, last_change: float) -> IntegrationError:
@@ -421,32 +378,10 @@ class HeatBath(DoubleBracketDamping):
             product = by_y @ product
         return np.asarray(product)
 
-    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Any]:
-        """Return the flow with the same noise, with its transposed derivative."""
-        steps: list[Any] = []
-
-        def noise(half: int) -> None:
-            for v in self._noise_directions(system, t, tau, half):
-                steps.append(self._noise_step(system, v, steps[-1].end if steps else x))
-
-        if system.has_matrices:
-            return []
-        noise(0)
-        damping = self._midpoint_step(system, steps[-1].end if steps else x, t, tau)
-        if damping is None:
-            return []
-        steps.append(damping)
-        noise(1)
-        return steps
-
-    def _noise_step(self, system: Any, v: NDArray[np.float64], x: NDArray[np.float64]) -> Exponential | OfSpins:
-        """Return the step of a noise of direction v, with its transposed derivative."""
-        return Exponential.of(bracket_of(system.algebra, system.sign), v, x)
-
-    def scalings(self) -> dict[str, tuple[Any, Any]]:
+    def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
         if np.ndim(self.temperature):
-            return super().scalings()
-        return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
+            return super().scalings(system)
+        return {**super().scalings(system), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
     def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
         product, X = np.eye(system.dim), system.matrices(x)

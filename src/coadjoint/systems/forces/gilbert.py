@@ -12,7 +12,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import Spins, spins_in
 from coadjoint.systems.forces.base import ForceReader, SpinTerms, read_nonnegatives, read_seed
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, HeatBath
-from coadjoint.systems.forces.orbit_flow import Exponential, OfSpins, bracket_of, exponential_with_tangent
+from coadjoint.systems.forces.orbit_flow import exponential_with_tangent
 from coadjoint.validation import set_fields
 
 
@@ -158,41 +158,27 @@ class Gilbert(HeatBath):
         end, by_x, by_v = exponential_with_tangent(system, v, x)
         return end, by_x - 0.5 * by_v @ (np.outer(v, x) * _squared(self._factors(system)[1], x))
 
-    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OfSpins | None:
-        rates, terms = self._factors(system)
-        lengths, alpha = terms.lengths(x), self._per_coordinate(system, self.alpha)
-        step = self._settled_midpoint(system, x, t, tau, rates / lengths, tau * terms.added)
-        if step is None:
-            return None
-        # The derivatives of alpha/(1 + alpha^2) and of 1/(1 + alpha^2) by alpha.
-        square = 1.0 + alpha * alpha
-        damping, unit = step.v - step.added * step.gradient, 1.0 / np.abs(_spins_of(system).constants)
-        field = step.half.bracket.product(step.half.end, step.gradient)
-        by_alpha = (1.0 - alpha * alpha) / lengths * self._per_coordinate(system, unit) * field
-        by_alpha = tau / square**2 * (by_alpha - 2.0 * alpha * step.gradient)
-        changes = {"alpha": (by_alpha, bool(np.ndim(self.alpha))), "temperature": (np.zeros(len(x)), True)}
-        if not np.ndim(self.temperature):
-            changes["temperature"] = np.zeros(len(x)), False
-        return OfSpins(step, x, terms.spins, -damping / lengths**2, changes)
+    def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        spins, alpha = _spins_of(system), np.asarray(self.alpha)
+        factor, found = 1.0 / (1.0 + alpha * alpha), dict[str, tuple[Any, ...]]()
+        if not self.random or np.all(alpha > 0.0):  # not of a vanishing noise, which grows with a root
+            slope = (1.0 - alpha * alpha) * factor
+            log_slope = 0.5 * slope / alpha if self.random else 0.0
+            of_rates = slope * factor / np.abs(spins.constants)
+            values = log_slope, of_rates, -2.0 * alpha * factor * factor
+            found["alpha"] = tuple(self._by_entry(system, one, alpha.ndim) for one in values)
+        kT = np.asarray(self.temperature)
+        by_kT = np.divide(0.5, kT, out=np.zeros(kT.shape), where=kT > 0.0)
+        return {**found, "temperature": (self._by_entry(system, by_kT, kT.ndim), 0.0, 0.0)}
 
-    def _noise_step(self, system: Any, v: NDArray[np.float64], x: NDArray[np.float64]) -> OfSpins:
-        _, terms = self._factors(system)
-        v = self._at(system, v, x)
-        alpha, kT = self._per_coordinate(system, self.alpha), self._temperatures(system)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            by_alpha = np.where(v == 0.0, 0.0, 0.5 * v * (1.0 - alpha * alpha) / (alpha * (1.0 + alpha * alpha)))
-            by_kT = np.where(v == 0.0, 0.0, 0.5 * v / kT)
-        changes = {
-            "alpha": (by_alpha, bool(np.ndim(self.alpha))),
-            "temperature": (by_kT, bool(np.ndim(self.temperature))),
-        }
-        step = Exponential.of(bracket_of(system.algebra, system.sign), v, x)
-        return OfSpins(step, x, terms.spins, -0.5 * v / terms.lengths(x) ** 2, changes)
-
-    def scalings(self) -> dict[str, tuple[Any, Any]]:
-        """Return the parameters whose derivatives `OfSpins` has: not of a vanishing noise, which grows with a root."""
-        vanishing = {"alpha": self.random and np.min(self.alpha) == 0.0, "temperature": False}
-        return {name: (0.0, 0.0) for name, is_infinite in vanishing.items() if not is_infinite}
+    def _by_entry(self, system: Any, values: Any, dimensions: int) -> NDArray[np.float64]:
+        """Return derivatives of coefficients of coordinates by one entry, or by that of their spin, (entries, n)."""
+        found, spins = self._per_coordinate(system, values), _spins_of(system).coordinates
+        if not dimensions:
+            return found[None]
+        each = np.zeros((len(spins), system.dim))
+        each[np.arange(len(spins))[:, None], spins] = found[spins]
+        return each
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         rates, terms = self._factors(system)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,8 +14,6 @@ from coadjoint.systems.coordinates import KINDS
 from coadjoint.systems.forces.base import Force, ForceReader, read_seed
 from coadjoint.systems.forces.matrix_noise import MatrixNoise, brownian_increments
 from coadjoint.systems.forces.orbit_flow import (
-    Exponential,
-    bracket_of,
     exponential,
     exponential_with_tangent,
     midpoint,
@@ -217,10 +215,6 @@ class OrbitNoise(Force):
         """Return the flow before (0) or after (1) a step."""
         return NoiseOnSide(self, side)
 
-    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        scaled = np.ndim(self.strength) == 0 and self.strength != 0.0
-        return {"strength": (1.0 / self.strength, 0.0)} if scaled else {}
-
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.hamiltonian_noise(self.terms(system), self.seed, self.stream, self.levels)
 
@@ -246,20 +240,6 @@ class NoiseOnSide(NamedTuple):
             y, by_x, _ = exponential_with_tangent(system, v, y)
             product = by_x @ product
         return np.asarray(product)
-
-    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        return self.noise.scalings()
-
-    def orbit_steps(self, system: Any, x: Floats, t: float, tau: float) -> Sequence[Any]:
-        if system.has_matrices:
-            return ()
-        steps: list[Exponential] = []
-        bracket = bracket_of(system.algebra, system.sign)
-        for term, v in self.noise._flows(system, t, tau, self.side):
-            if term is not None:
-                return ()
-            steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
-        return steps
 
 
 def _term_flow(system: Any, term: NoiseTerm, increment: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:

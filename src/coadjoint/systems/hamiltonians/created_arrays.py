@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
@@ -16,16 +16,18 @@ CREATORS: tuple[Callable[..., Any], ...] = (
 
 
 class _NumPy:
-    """NumPy, of which `CREATORS` return converted arrays."""
+    """NumPy, of which `CREATORS` return converted arrays, and in which some functions are replaced."""
 
-    def __init__(self, convert: Callable[[Any], Any]) -> None:
-        self._convert = convert
+    def __init__(self, convert: Callable[[Any], Any], replaced: Mapping[Any, Any]) -> None:
+        self._convert, self._replaced = convert, replaced
 
     def __getattr__(self, name: str) -> Any:
         return self.of(getattr(np, name))
 
     def of(self, function: Any) -> Any:
-        """Return a function of NumPy, converting what it returns; anything else unchanged."""
+        """Return a function of NumPy, replaced, or converting what it returns; anything else unchanged."""
+        if isinstance(function, np.ufunc) and function in self._replaced:
+            return self._replaced[function]
         if not any(function is creator for creator in CREATORS):
             return function
 
@@ -36,9 +38,9 @@ class _NumPy:
         return create
 
 
-def with_new_arrays(function: Any, convert: Callable[[Any], Any]) -> Any:
+def with_new_arrays(function: Any, convert: Callable[[Any], Any], replaced: Mapping[Any, Any] = {}) -> Any:
     """Return a copy of a function of the user; it and functions that it calls convert the arrays they create."""
-    numpy, copies = _NumPy(convert), dict[int, Any]()
+    numpy, copies = _NumPy(convert, replaced), dict[int, Any]()
 
     def names_in(code: CodeType) -> set[str]:
         return {*code.co_names}.union(*(names_in(one) for one in code.co_consts if isinstance(one, CodeType)))

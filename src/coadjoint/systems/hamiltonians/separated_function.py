@@ -192,9 +192,10 @@ class RecordedFunction:
         return replace(term, coordinates=coordinates, value=value, gradient=gradient, hessian=hessian)
 
     def _functions(self, sets: Sequence[Sequence[int]], without_hessian: bool) -> tuple[Any, ...]:
-        graph, variables, n = self.graph, self.graph.variables, self.n
+        graph, n = self.graph, self.n
+        variables = [one.index for one in graph.variables]
         ends = [graph.at(index) for index in self._ends]
-        slopes = graph.gradient(graph.result, ends, frozenset(self._ends))
+        slopes = graph.gradient(graph.result, self._ends, frozenset(self._ends))
         gradient: list[Any] = []
         for numbers in sets:
             rows = [graph.gradient(ends[k], variables) for k in numbers]

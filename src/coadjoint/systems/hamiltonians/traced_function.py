@@ -50,6 +50,8 @@ UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "log10": lambda x, y: 1 / (x * math.log(10.0)),
     "sqrt": lambda x, y: 0.5 / y,
     "cbrt": lambda x, y: 1 / (3 * y * y),
+    "abs": lambda x, y: x.sign(),
+    "sign": lambda x, y: 0,
 }
 """NumPy function -> its derivative at x, where its value is y."""
 
@@ -61,6 +63,9 @@ BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
     "pow": ("({} ** {})", lambda a, b, y: _slopes_of_power(a, b, y)),
     "arctan2": ("np.arctan2({}, {})", lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b))),
     "hypot": ("np.hypot({}, {})", lambda a, b, y: (a / y, b / y)),
+    "maximum": ("np.maximum({}, {})", lambda a, b, y: (0.5 + 0.5 * (a - b).sign(), 0.5 - 0.5 * (a - b).sign())),
+    "minimum": ("np.minimum({}, {})", lambda a, b, y: (0.5 - 0.5 * (a - b).sign(), 0.5 + 0.5 * (a - b).sign())),
+    "greater": ("(1.0 if {} > {} else 0.0)", lambda a, b, y: (0, 0)),
 }
 """Operation -> its text, and its derivatives by both arguments, a and b, where its value is y."""
 
@@ -94,9 +99,12 @@ class Graph:
 
     # Variables and numbers are entries too. The variables come first, the time after the coordinates. A function of
     # constants too is that of other ones with the values of `fixed` entries, which depend on constants alone. Those
-    # that vanish are numbers.
+    # that vanish are numbers. Unless it `folds`, each number is an entry of its own, also 0 and 1 in sums and products,
+    # so that functions with other numbers have the same operations; and it may have kinks, where the derivative is the
+    # mean of those on both sides.
 
-    def __init__(self, n: int, timed: bool, constants: Sequence[float] = ()) -> None:
+    def __init__(self, n: int, timed: bool, constants: Sequence[float] = (), folds: bool = True) -> None:
+        self.folds = folds
         self.operations: list[str] = []
         self.inputs: list[tuple[int, ...]] = []  # the arguments of each entry
         self.numbers: dict[int, int | float] = {}
@@ -105,8 +113,8 @@ class Graph:
         self.fixed: dict[int, Any] = {}
         self._known: dict[Any, int] = {}
         self.timed = timed
-        self.variables = tuple(self._variable(f"x[{k}]") for k in range(n))
-        self.time = self._variable("t") if timed else None
+        self.variables = tuple(self.variable(f"x[{k}]") for k in range(n))
+        self.time = self.variable("t") if timed else None
         self.constants = [self._constant(k, value) if value else 0.0 for k, value in enumerate(constants)]
         self.result: Any = 0
 
@@ -144,7 +152,8 @@ class Graph:
             found[index] = self._evaluated(index, found) if place is None else constants[place]
         return found
 
-    def _variable(self, text: str) -> Traced:
+    def variable(self, text: str) -> Traced:
+        """Return a variable by its text in functions."""
         index = self._add("variable", text=text)
         self._variables[index] = text
         return Traced(self, index)
@@ -153,9 +162,13 @@ class Graph:
         """Return the number of the entry of a `Traced` one or of a number."""
         if constant_of(argument) is None:
             return int(argument.index)
-        index = self._add("number", text=repr(argument))
+        index = self._add("number", text=repr(argument) if self.folds else f"{argument!r} {len(self.operations)}")
         self.numbers[index] = argument
         return index
+
+    def operand(self, value: Any) -> Any:
+        """Return a result of a function as a `Traced` one or a number; TracingError for others."""
+        return _operand(value)
 
     def at(self, index: int) -> Any:
         """Return an entry, the inverse of `entry`."""
@@ -175,9 +188,12 @@ class Graph:
                 pending += self.inputs[index]
         return sorted(found)
 
-    def gradient(self, result: Any, variables: Sequence[Traced], ends: Collection[int] = ()) -> list[Any]:
-        """Return the derivatives of a result by variables, in reverse; the entries `ends` count as independent."""
-        last = self.entry(result)
+    def gradient(self, result: Any, variables: Sequence[int], ends: Collection[int] = ()) -> list[Any]:
+        """Return the derivatives of a result by entries, variables or numbers, in reverse.
+
+        The entries `ends` count as independent.
+        """
+        last, wanted = self.entry(result), {*variables}
         slopes: dict[int, Any] = {last: 1}
         for index in range(last, -1, -1):
             operation, inputs, slope = self.operations[index], self.inputs[index], slopes.get(index, 0)
@@ -191,9 +207,9 @@ class Graph:
             else:
                 factors = BINARY[operation][1](*arguments, value)
             for argument, factor in zip(inputs, factors, strict=True):
-                if argument not in self.numbers and argument not in self.fixed:
+                if argument in wanted or (argument not in self.numbers and argument not in self.fixed):
                     slopes[argument] = slopes.get(argument, 0) + slope * factor
-        return [slopes.get(variable.index, 0) for variable in variables]
+        return [slopes.get(variable, 0) for variable in variables]
 
     def value(self) -> Callable[..., Any]:
         """Return the function itself, as a plain function of the recorded operations."""
@@ -201,10 +217,11 @@ class Graph:
 
     def derivatives(self) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
         """Return value, gradient and Hessian, which Numba compiles; no Hessian of more than `MAX_OPERATIONS`."""
-        n, slopes = len(self.variables), self.gradient(self.result, self.variables)
+        variables = [one.index for one in self.variables]
+        n, slopes = len(variables), self.gradient(self.result, variables)
         value, gradient = self.value(), self.function(slopes, "{array}")
         try:
-            lower = [self.gradient(slope, self.variables[: k + 1]) for k, slope in enumerate(slopes)]
+            lower = [self.gradient(slope, variables[: k + 1]) for k, slope in enumerate(slopes)]
         except TracingError:
             return value, gradient, None
         curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
@@ -327,6 +344,8 @@ def constant_of(argument: Any) -> Any:
 
 def _folded(operation: str, a: Any, b: Any) -> Any:
     """Return a sum or product with 0 or 1 without an operation, or None."""
+    if not all(one.graph.folds for one in (a, b) if isinstance(one, Traced)):
+        return None
     left, right = constant_of(a), constant_of(b)
     if operation in ("add", "sub") and right == 0:
         return a
@@ -364,6 +383,17 @@ def _unary(operation: str) -> Callable[[Traced], Traced]:
     return apply
 
 
+def _with_kink(operation: str, refusal: str, swapped: bool = False) -> Callable[..., Any]:
+    apply: Any = _unary(operation) if operation in UNARY else _binary(operation, swapped)
+
+    def apply_to_law(self: Traced, *others: Any) -> Any:
+        if self.graph.folds:
+            raise TracingError(refusal)
+        return apply(self, *others)
+
+    return apply_to_law
+
+
 def _refused(what: str) -> Callable[..., Any]:
     def refuse(self: Traced, *arguments: Any) -> Any:
         raise TracingError(what)
@@ -392,15 +422,17 @@ class Traced:
     __truediv__, __rtruediv__ = _binary("div"), _binary("div", swapped=True)
     __pow__, __rpow__ = _binary("pow"), _binary("pow", swapped=True)
     arctan2, hypot = _binary("arctan2"), _binary("hypot")
-    __abs__ = _refused("it takes an absolute value (abs, np.abs), which has a kink")
+    maximum, minimum = _with_kink("maximum", COMPARES), _with_kink("minimum", COMPARES)
+    __abs__ = _with_kink("abs", "it takes an absolute value (abs, np.abs), which has a kink")
+    __gt__, __lt__ = _with_kink("greater", COMPARES), _with_kink("greater", COMPARES, swapped=True)
     __eq__ = __ne__ = _refused(COMPARES)  # type: ignore[assignment]
-    __lt__ = __le__ = __gt__ = __ge__ = __bool__ = _refused(COMPARES)
+    __le__ = __ge__ = __bool__ = _refused(COMPARES)
     __float__ = __int__ = __complex__ = _refused(
         "it converts a coordinate to a plain number, as functions of `math`, `float` and np.floor do"
     )
 
 
-for _name in UNARY:
+for _name in UNARY.keys() - {"abs"}:
     setattr(Traced, _name, _unary(_name))
 
 

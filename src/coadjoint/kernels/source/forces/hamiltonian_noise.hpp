@@ -12,6 +12,12 @@
 
 namespace coadjoint {
 
+// The fraction k of an increment in one flow, or in five, those of Suzuki, of order four.
+inline double fraction_of(int64_t k, int64_t count) {
+    constexpr double OUTER = 0.41449077179437573714;  // 1/(4 - 4^(1/3))
+    return count == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER;
+}
+
 template <class A, class C>
 class HamiltonianNoise {
   public:
@@ -173,8 +179,6 @@ class HamiltonianNoise {
         for (int a = 0; a < 3; ++a) x[a] = x[a] + fma(first, across[a], second * back[a]);
     }
 
-    static double fraction_of(int64_t k, int64_t count) { return count == 1 ? 1.0 : k == 2 ? 1.0 - 4.0 * OUTER : OUTER; }
-
     // Functions whose gradients are constant along their flows: these in their order and back, at fractions of the
     // increment.
     void by_parts(A* x, double* element, double t, const A* sums, int64_t b, int64_t count, Mask& moving, A& status) {
@@ -211,8 +215,6 @@ class HamiltonianNoise {
         InterruptCheck::of_this_call().after(Numbers<A>::lanes * work_of(*fields[k]));
         gradient(*fields[k], MemberConstants{1, 0}, x, A(t), out, *workspaces[k]);
     }
-
-    static constexpr double OUTER = 0.41449077179437573714;  // 1/(4 - 4^(1/3))
 };
 
 }  // namespace coadjoint

@@ -1,6 +1,8 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include "tangents/law_derivatives.hpp"
+#include "tangents/noise_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
 #include "tangents/shift_factor.hpp"
 
@@ -29,9 +31,14 @@ class ForceDerivative {
           unit(n), direction(n) {
         if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
             exponential.reset(new MatrixExponential(n));
-        if (table.kind == derivatives::ALONG)
+        if (table.kind == derivatives::ALONG && !table.along) law.reset(new LawDerivative(flow, table, n));
+        if (table.kind == derivatives::ALONG && table.along)
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
-        if (table.kind == derivatives::ON_ORBIT) orbit.reset(new OrbitDerivative(force, tables.field, table));
+        if (table.kind == derivatives::ON_ORBIT && force.kind == HAMILTONIAN_NOISE)
+            noise.reset(new NoiseDerivative(force, tables.field, table));
+        else if (table.kind == derivatives::ON_ORBIT)
+            orbit.reset(new OrbitDerivative(force, tables.field, table));
+        if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
         for (int64_t k = 0; k < TABLES * table.moved; ++k)
             nearby.emplace_back(table.nearby[k] ? new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field,
                                                             tables.group, SHARED, k % TABLES == NODES ? 2 * n : 0)
@@ -49,8 +56,10 @@ class ForceDerivative {
             std::copy_n(image, n, images.data() + v * n);
         });
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
-        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), count * n, vectors);
-        if (table.kind == derivatives::ON_ORBIT && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients))
+        if (along && !whole) std::copy_n(images.data(), count * n, vectors);
+        if (law) law->push(x, at.t, at.tau, vectors, count, own, all.coefficients);
+        if (orbit && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
+        if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients))
             throw NotDifferentiated();
         if (whole || table.depends) {
             called.resize(count * all.called);
@@ -59,7 +68,7 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
-        bool probed = false, steps = table.kind == derivatives::ALONG && !whole;
+        bool probed = false, steps = along && !whole;
         for (int64_t k = 0; k < table.moved; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
@@ -89,14 +98,15 @@ class ForceDerivative {
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, end, k, !whole);
+            difference(at, x, end, k, along && !whole);
             for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
         }
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
-        if (table.kind == derivatives::ALONG && !whole) std::copy_n(images.data(), n, row);
-        if (table.kind == derivatives::ON_ORBIT && !orbit->pull(x, at.t, at.tau, at.member, row, own))
-            throw NotDifferentiated();
+        if (along && !whole) std::copy_n(images.data(), n, row);
+        if (law) law->pull(x, at.t, at.tau, row, own);
+        if (orbit && !orbit->pull(x, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
+        if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own)) throw NotDifferentiated();
     }
 
   private:
@@ -119,8 +129,10 @@ class ForceDerivative {
     std::unique_ptr<MatrixExponential> exponential;
     std::unique_ptr<Force> along;
     std::unique_ptr<OrbitDerivative> orbit;
+    std::unique_ptr<NoiseDerivative> noise;
+    std::unique_ptr<LawDerivative> law;
     std::vector<std::unique_ptr<Force>> nearby;
-    std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent;
+    std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
 
     // Set `growth` to E of x -> x + E (x - aim) + b.
     void find_growth(const FlowTime& at) {
@@ -153,9 +165,20 @@ class ForceDerivative {
                 to[i] = fma(factor * matrix[shape() == DIAGONAL ? i : 0], from[i], to[i]);
     }
 
-    // The coefficients of a damping are its rates and its aim; those of a constant torque are its components.
+    bool is_noisy() const { return force.kind == DAMPING && force.amplitude[0] > 0.0; }
+
+    // The deviates of a flow, with which `Force` moves the state.
+    void draw(const FlowTime& at) {
+        const DeviateStream stream(uint64_t(force.seed), uint64_t(force.stream + at.member), at.t, 0);
+        force.kind == KICKS ? stream.draw(0, force.extent, drawn.data()) : stream.fill(n, drawn.data());
+    }
+
+    // The coefficients of a damping are its rates, its aim, and those of the root of the covariance of its noise; those of a
+    // constant torque its components, and those of kicks their factors.
     void push_affine(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
+        if (force.kind == KICKS) return push_kicks(at, x, vectors, count, directions);
         find_growth(at);
+        if (table.own && is_noisy()) draw(at);
         for (int64_t v = 0; v < count; ++v) {
             double* const vector = vectors + v * n;
             const double* along = directions + v * all.coefficients;
@@ -166,10 +189,58 @@ class ForceDerivative {
                 push_rates(at, x, along, vector);
                 along += entries_of(force.shape);
                 apply(growth, along, vector, -1.0);
+                if (is_noisy())
+                    each_deviate(at, [&](int64_t i, int64_t e, double by_root, double by_rate) {
+                        vector[i] += by_root * along[n + e] + by_rate * along[i - entries_of(force.shape)];
+                    });
             } else {
                 for (int64_t i = 0; i < n; ++i) vector[i] = fma(at.tau, along[i], vector[i]);
             }
         }
+    }
+
+    // Visit the derivatives of the noise of a damping in coordinate i by an entry e of the root, and through it by the rate.
+    template <class Visit>
+    void each_deviate(const FlowTime& at, const Visit& visit) const {
+        for (int64_t i = 0; i < n; ++i) {
+            const double decayed = -growth_by(-2.0 * at.tau * force.rate[i]).expm1, spread = std::sqrt(decayed);
+            const double by_rate = spread > 0.0 ? at.tau * (1.0 - decayed) / spread : 0.0;
+            for (int64_t e = force.begin[i]; e < force.begin[i + 1]; ++e) {
+                const double deviate = drawn[force.direction[e]];
+                visit(i, e, spread * deviate, by_rate * force.basis[e] * deviate);
+            }
+        }
+    }
+
+    // Visit the kicks: the coordinate that each changes, the one that multiplies it or -1, its number, and its size.
+    template <class Visit>
+    void each_kick(const FlowTime& at, const Visit& visit) {
+        draw(at);
+        const double size = std::sqrt(at.tau);
+        for (int64_t e = 0; e < force.sets; ++e) {
+            const int64_t* const to = force.direction + 3 * e;
+            visit(to[0], to[1], e, size * drawn[to[2]]);
+        }
+    }
+
+    void push_kicks(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
+        for (int64_t v = 0; v < count; ++v) {
+            double* const vector = vectors + v * n;
+            const double* const along = directions + v * all.coefficients;
+            std::copy_n(vector, n, moved.data());
+            each_kick(at, [&](int64_t i, int64_t j, int64_t e, double size) {
+                if (j >= 0) vector[i] = fma(force.rate[e] * size, moved[j], vector[i]);
+                if (table.own) vector[i] = fma((j < 0 ? 1.0 : x[j]) * size, along[e], vector[i]);
+            });
+        }
+    }
+
+    void pull_kicks(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
+        std::copy_n(row, n, moved.data());
+        each_kick(at, [&](int64_t i, int64_t j, int64_t e, double size) {
+            if (j >= 0) row[j] = fma(force.rate[e] * size, moved[i], row[j]);
+            if (table.own) by_coefficients[e] = fma((j < 0 ? 1.0 : x[j]) * size, moved[i], by_coefficients[e]);
+        });
     }
 
     void push_rates(const FlowTime& at, const double* x, const double* along, double* vector) {
@@ -185,6 +256,7 @@ class ForceDerivative {
     }
 
     void pull_affine(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
+        if (force.kind == KICKS) return pull_kicks(at, x, row, by_coefficients);
         find_growth(at);
         if (table.own && force.kind == DAMPING) pull_damping(at, x, row, by_coefficients);
         if (table.own && force.kind != DAMPING)
@@ -209,6 +281,12 @@ class ForceDerivative {
         std::fill(sum.begin(), sum.end(), 0.0);
         add_transposed(row, sum.data());
         for (int64_t i = 0; i < n; ++i) by_coefficients[count + i] -= sum[i];
+        if (!is_noisy()) return;
+        draw(at);
+        each_deviate(at, [&](int64_t i, int64_t e, double by_root, double by_rate) {
+            by_coefficients[count + n + e] += by_root * row[i];
+            by_coefficients[i] += by_rate * row[i];
+        });
     }
 
     // to += E^T from
@@ -297,7 +375,7 @@ class ForceDerivative {
     template <class VectorOf, class Take>
     bool is_in_python(const FlowTime& at, const double* x, const double* end, int64_t count, const VectorOf& vector_of,
                       const Take& take) {
-        if (table.kind != derivatives::ALONG) return table.kind == derivatives::IN_PYTHON;
+        if (!along) return table.kind == derivatives::IN_PYTHON;
         direction.assign(n, 0.0), tangent.assign(n, 0.0);
         for (int64_t v = 0; v < count; ++v) {
             const double *const vector = vector_of(v), *const image = image_of(at, x, vector);

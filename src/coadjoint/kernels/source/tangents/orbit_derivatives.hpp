@@ -1,5 +1,6 @@
 // Derivatives of the flow of a damping along coadjoint orbits with its noise: exponentials exp(D_v) x, D_v x = sign J(x) v,
-// of which the middle one solves the midpoint rule, v = tau P sign J(m) grad H(m) at m = exp(D_v / 2) x.
+// of which the middle one solves the midpoint rule, v = tau P sign J(m) grad H(m) at m = exp(D_v / 2) x. Those of spins with
+// `extent` have the metric divided by the length of each spin, the noise by its root, and `turning` grad H in v too.
 #pragma once
 
 #include "forces/force.hpp"
@@ -7,16 +8,68 @@
 
 namespace coadjoint {
 
-// y = exp(D_v) x by a series in substeps, which are kept for the derivatives of y by x and v.
+// y = exp(D_v) x for the derivatives of y by x and v: rotations of spins in closed form, or else a series in substeps, which
+// are kept.
 class Exponential {
   public:
     std::vector<double> v, end;
 
-    explicit Exponential(const Field& field) : v(field.size), end(field.size), field(field), n(field.size), sums(n) {}
+    Exponential(const Field& field, const Spins* spins)
+        : v(field.size), end(field.size), spins(spins), field(field), n(field.size), sums(n), one(n), two(n) {}
 
     // False if it is not defined, or too long.
     bool of(const double* direction, double factor, const double* x) {
         for (int64_t i = 0; i < n; ++i) v[i] = factor * direction[i];
+        return spins ? rotate(x) : sum_series(x);
+    }
+
+  private:
+    // The rotation of a spin by w = turn v: y = x + first A x + second A A x with A x = x cross w, and the mean of its part
+    // until now, 1 + second A + third A A, by which a change of w turns y.
+    struct Turning {
+        double w[3], first, second, third;
+    };
+
+    bool rotate(const double* x) {
+        turnings.resize(spins->size());
+        std::copy_n(x, n, end.data());
+        InterruptCheck::of_this_call().after(64 * n);
+        for (int64_t s = 0; s < spins->size(); ++s) {
+            Turning& one = turnings[s];
+            double from[3], across[3], back[3];
+            for (int a = 0; a < 3; ++a) {
+                one.w[a] = spins->turn[s] * v[spins->coordinate[a][s]];
+                from[a] = x[spins->coordinate[a][s]];
+            }
+            const double square = fma(one.w[0], one.w[0], fma(one.w[1], one.w[1], one.w[2] * one.w[2]));
+            if (!(square - square == 0.0)) return false;
+            find_turning(square, one);
+            cross_of(from, one.w, across);
+            cross_of(across, one.w, back);
+            for (int a = 0; a < 3; ++a)
+                end[spins->coordinate[a][s]] = from[a] + fma(one.first, across[a], one.second * back[a]);
+        }
+        return true;
+    }
+
+    static void find_turning(double square, Turning& one) {
+        one.first = one.second = one.third = 0.0;
+        if (square <= SMALL_SQUARE) {
+            for (int k = 4; k >= 0; --k) {
+                one.first = fma(-square, one.first, INVERSE_FACTORIALS[2 * k + 1].high);
+                one.second = fma(-square, one.second, INVERSE_FACTORIALS[2 * k + 2].high);
+                one.third = fma(-square, one.third, INVERSE_FACTORIALS[2 * k + 3].high);
+            }
+            return;
+        }
+        const double angle = std::sqrt(square);
+        const Rotation<double> rotation = rotation_by(angle);
+        one.first = rotation.sine / angle;
+        one.second = -(rotation.cosm1 / square);
+        one.third = (1.0 - one.first) / square;
+    }
+
+    bool sum_series(const double* x) {
         double norm = 0.0;
         for (int64_t i = 0; i < n; ++i) {
             double sum = 0.0;
@@ -43,10 +96,11 @@ class Exponential {
         return true;
     }
 
+  public:
     // Replace the tangent of x by that of y, where v has the tangent dv.
     void push(const double* dv, double* dx) {
+        if (spins) return push_rotations(dv, dx);
         std::vector<double> &change = one, &next = two;
-        change.resize(n), next.resize(n);
         for (int64_t s = 0; s < substeps; ++s) {
             std::copy_n(dx, n, change.data());
             for (int64_t k = 1; k < degree; ++k) {
@@ -62,7 +116,7 @@ class Exponential {
     // Replace the cotangent of y by that of x, and set that of v.
     void pull(double* row, double* of_v) {
         std::fill_n(of_v, n, 0.0);
-        one.resize(degree * n), two.resize(n);
+        if (spins) return pull_rotations(row, of_v);
         for (int64_t s = substeps; s-- > 0;) {
             // The cotangents of the terms, from the last one on.
             std::vector<double>& carried = two;
@@ -104,10 +158,51 @@ class Exponential {
 
   private:
     static constexpr double LEAST_TERM = 0x1p-60;  // of a term that is left out, relative to x
+    static constexpr double SMALL_SQUARE = 0x1p-6;  // squares of angles up to this one have a series
+    const Spins* const spins;
     const Field& field;
     const int64_t n;
     int64_t substeps = 1, degree = 1;
     std::vector<double> sums, terms, one, two;
+    std::vector<Turning> turnings;
+
+    // u + first A u + second A A u for A u = u cross w, with minus w of the transpose.
+    static void turn(const double* w, double sign, double first, double second, double* u) {
+        double across[3], back[3];
+        cross_of(u, w, across);
+        cross_of(across, w, back);
+        for (int a = 0; a < 3; ++a) u[a] += fma(sign * first, across[a], second * back[a]);
+    }
+
+    void push_rotations(const double* dv, double* dx) const {
+        for (int64_t s = 0; s < spins->size(); ++s) {
+            const Turning& one = turnings[s];
+            double change[3], about[3], y[3], across[3];
+            for (int a = 0; a < 3; ++a) {
+                const int64_t i = spins->coordinate[a][s];
+                change[a] = dx[i], about[a] = spins->turn[s] * dv[i], y[a] = end[i];
+            }
+            turn(one.w, 1.0, one.first, one.second, change);
+            turn(one.w, 1.0, one.second, one.third, about);
+            cross_of(y, about, across);
+            for (int a = 0; a < 3; ++a) dx[spins->coordinate[a][s]] = change[a] + across[a];
+        }
+    }
+
+    void pull_rotations(double* row, double* of_v) const {
+        for (int64_t s = 0; s < spins->size(); ++s) {
+            const Turning& one = turnings[s];
+            double of_end[3], about[3], y[3];
+            for (int a = 0; a < 3; ++a) of_end[a] = row[spins->coordinate[a][s]], y[a] = end[spins->coordinate[a][s]];
+            cross_of(of_end, y, about);
+            turn(one.w, -1.0, one.second, one.third, about);
+            turn(one.w, -1.0, one.first, one.second, of_end);
+            for (int a = 0; a < 3; ++a) {
+                row[spins->coordinate[a][s]] = of_end[a];
+                of_v[spins->coordinate[a][s]] = spins->turn[s] * about[a];
+            }
+        }
+    }
 
     double* term(int64_t s, int64_t k) { return terms.data() + (s * degree + k) * n; }
 
@@ -124,45 +219,72 @@ class Exponential {
     }
 };
 
+// Whether a fixed-point iteration ends: its changes are round-off, and no longer fall.
+class Settling {
+  public:
+    static constexpr int64_t MOST_ITERATIONS = 192;
+
+    bool operator()(const std::vector<double>& now, const std::vector<double>& before) {
+        double change = 0.0, size = 0.0;
+        for (size_t i = 0; i < now.size(); ++i) {
+            change += absolute(now[i] - before[i]);
+            size += absolute(now[i]);
+        }
+        const bool ends = !(change > SETTLED * size) || (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size);
+        last = change;
+        return ends;
+    }
+
+  private:
+    static constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40;
+    double last = std::numeric_limits<double>::infinity();
+};
+
 class OrbitDerivative {
   public:
     OrbitDerivative(const ForceTable& force, const Field& field, const ForceDerivatives& table)
-        : force(force), field(field), table(table), n(field.size), fields(field), workspace(field.terms),
-          of_added(table.added), half(field), v(n), row(n), other(n), gradients(n), middle(n), deviates(n) {}
+        : force(force), field(field), table(table), n(field.size), of_spins(spins.find(field, MemberConstants{1, 0})),
+          adds(force.extent == 1), first_added((adds ? 3 : 2) * n), fields(field), workspace(field.terms),
+          of_added(table.added), half(field, of_spins ? &spins : nullptr), v(n), row(n), other(n), gradients(n), middle(n),
+          deviates(n), driven(n), of_v(n), first(n), before(n), through(n), of_gradient(n), dv(n), dm(n), dg(n), now(n),
+          inverse(n, 1.0), of_length(n) {}
 
-    // The coefficients of the noise and of the damping, by coordinate, and of the terms of the derivative of H.
-    static int64_t count(const ForceDerivatives& table, int64_t n) {
-        return 2 * n + coefficients_of(table.added);
-    }
+    // The coefficients are logarithms of the noise, and of the damping, by coordinate, with `adds` the rates and the
+    // `turning` themselves, and those of the terms of the derivative of H.
 
     // Replace vectors at a state by their tangents after the flow, along directions of the coefficients; false if a series
     // is too long, or an iteration does not converge.
     bool push(const double* x, double t, double tau, int64_t member, double* vectors, int64_t vectors_count,
               const double* directions, int64_t stride) {
         if (!find(x, t, tau, member)) return false;
-        std::vector<double> dv(n), dm(n), dg(n), explicit_part(n), before(n);
         for (int64_t r = 0; r < vectors_count; ++r) {
             double* const dx = vectors + r * n;
             const double* const along = directions + r * stride;
+            if (adds) find_change_of_length(x, dx);
             for (size_t e = 0; e < exponentials.size(); ++e) {
                 Exponential& one = *exponentials[e];
                 if (int64_t(e) != damping) {
-                    for (int64_t i = 0; i < n; ++i) dv[i] = along[i] * one.v[i];
+                    for (int64_t i = 0; i < n; ++i) dv[i] = (along[i] + 0.5 * of_length[i]) * one.v[i];
                     one.push(dv.data(), dx);
                     continue;
                 }
                 // What does not depend on the change of the midpoint.
                 std::fill(dg.begin(), dg.end(), 0.0);
                 each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
-                    dg[coordinate] = fma(factor, along[2 * n + index], dg[coordinate]);
+                    dg[coordinate] = fma(factor, along[first_added + index], dg[coordinate]);
                 });
                 std::fill(other.begin(), other.end(), 0.0);
                 half.add_move(dg.data(), middle.data(), tau, other.data());
-                metric(other.data(), explicit_part.data());
-                for (int64_t i = 0; i < n; ++i) explicit_part[i] += along[n + i] * one.v[i];
+                direction_of(other.data(), dg.data(), tau, first.data());
+                for (int64_t i = 0; i < n; ++i) {
+                    if (!adds) first[i] += along[n + i] * one.v[i];
+                    else
+                        first[i] += along[n + i] * driven[i] + rate(i) * driven[i] * of_length[i] +
+                                    tau * along[2 * n + i] * gradients[i];
+                }
                 std::fill(dv.begin(), dv.end(), 0.0);
-                double last = std::numeric_limits<double>::infinity();
-                for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
+                Settling settled;
+                for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
                     before = dv;
                     std::copy_n(dx, n, dm.data());
                     for (double& entry : dv) entry *= 0.5;
@@ -171,9 +293,9 @@ class OrbitDerivative {
                     std::fill(other.begin(), other.end(), 0.0);
                     half.add_move(gradients.data(), dm.data(), tau, other.data());
                     half.add_move(dg.data(), middle.data(), tau, other.data());
-                    metric(other.data(), dv.data());
-                    for (int64_t i = 0; i < n; ++i) dv[i] += explicit_part[i];
-                    if (settled(dv, before, last)) break;
+                    direction_of(other.data(), dg.data(), tau, dv.data());
+                    for (int64_t i = 0; i < n; ++i) dv[i] += first[i];
+                    if (settled(dv, before)) break;
                 }
                 one.push(dv.data(), dx);
             }
@@ -184,55 +306,66 @@ class OrbitDerivative {
     // Replace the cotangent of the state after the flow by that before, and add those of the coefficients.
     bool pull(const double* x, double t, double tau, int64_t member, double* cotangent, double* by_coefficients) {
         if (!find(x, t, tau, member)) return false;
-        std::vector<double> of_v(n), first(n), before(n), through(n), of_gradient(n);
+        std::fill(of_length.begin(), of_length.end(), 0.0);
         for (size_t e = exponentials.size(); e-- > 0;) {
             Exponential& one = *exponentials[e];
             one.pull(cotangent, of_v.data());
-            double* const scales = by_coefficients + (int64_t(e) == damping ? n : 0);
-            if (int64_t(e) == damping) {
-                first = of_v;
-                double last = std::numeric_limits<double>::infinity();
-                for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
-                    before = of_v;
-                    of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
-                    half.pull(through.data(), row.data());
-                    for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
-                    if (settled(of_v, before, last)) break;
+            if (int64_t(e) != damping) {
+                for (int64_t i = 0; i < n; ++i) {
+                    const double scaled = of_v[i] * one.v[i];
+                    by_coefficients[i] += scaled;
+                    of_length[i] = fma(0.5, scaled, of_length[i]);
                 }
+                continue;
+            }
+            first = of_v;
+            Settling settled;
+            for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
+                before = of_v;
                 of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
                 half.pull(through.data(), row.data());
-                for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
-                each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
-                    by_coefficients[2 * n + index] = fma(factor, of_gradient[coordinate], by_coefficients[2 * n + index]);
-                });
+                for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
+                if (settled(of_v, before)) break;
             }
-            for (int64_t i = 0; i < n; ++i) scales[i] = fma(of_v[i], one.v[i], scales[i]);
+            of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
+            half.pull(through.data(), row.data());
+            for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
+            each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
+                double& to = by_coefficients[first_added + index];
+                to = fma(factor, of_gradient[coordinate], to);
+            });
+            for (int64_t i = 0; i < n; ++i) {
+                double& by_damping = by_coefficients[n + i];
+                by_damping = fma(of_v[i], adds ? driven[i] : one.v[i], by_damping);
+                if (!adds) continue;
+                of_length[i] += of_v[i] * rate(i) * driven[i];
+                by_coefficients[2 * n + i] += tau * of_v[i] * gradients[i];
+            }
         }
+        if (adds) add_of_lengths(x, cotangent);
         return true;
     }
 
   private:
-    static constexpr int64_t MOST_ITERATIONS = 192;
-    static constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40;
     const ForceTable& force;
     const Field& field;
     const ForceDerivatives& table;
     const int64_t n;
+    Spins spins;
+    const bool of_spins, adds;
+    const int64_t first_added;
     FieldWorkspace<double> fields;
     HessianWorkspace<double> workspace, of_added;
     std::vector<std::unique_ptr<Exponential>> pool;
     std::vector<Exponential*> exponentials;  // in their order, of which `damping` is the midpoint rule
     int64_t damping = 0;
     Exponential half;  // from x to the midpoint
-    std::vector<double> v, row, other, gradients, middle, deviates;
-
-    static int64_t coefficients_of(const Terms& terms) {
-        const int64_t rows = terms.row[terms.size];
-        return rows + terms.entry[rows] + terms.monomial[terms.size];
-    }
+    // `driven` is J(m) grad H(m), with the time and the `inverse` lengths of spins.
+    std::vector<double> v, row, other, gradients, middle, deviates, driven, of_v, first, before, through, of_gradient, dv, dm,
+        dg, now, inverse, of_length;
 
     Exponential& next() {
-        if (exponentials.size() == pool.size()) pool.emplace_back(new Exponential(field));
+        if (exponentials.size() == pool.size()) pool.emplace_back(new Exponential(field, of_spins ? &spins : nullptr));
         exponentials.push_back(pool[exponentials.size()].get());
         return *exponentials.back();
     }
@@ -240,11 +373,42 @@ class OrbitDerivative {
     bool find(const double* x, double t, double tau, int64_t member) {
         exponentials.clear();
         const bool random = force.amplitude[0] > 0.0;
-        std::vector<double> now(x, x + n);
+        if (adds) find_lengths(x);
+        std::copy_n(x, n, now.data());
         if (random && !shake(now, t, tau, 0, member)) return false;
         damping = int64_t(exponentials.size());
         if (!settle(now, t, tau)) return false;
         return !random || shake(now, t, tau, 1, member);
+    }
+
+    // The inverse lengths of spins, by coordinate; zero for those that are zero, and for other coordinates.
+    void find_lengths(const double* x) {
+        std::fill(inverse.begin(), inverse.end(), 0.0);
+        each_spin([&](int64_t i, int64_t j, int64_t k) {
+            const double square = fma(x[i], x[i], fma(x[j], x[j], x[k] * x[k]));
+            inverse[i] = inverse[j] = inverse[k] = square > 0.0 ? 1.0 / std::sqrt(square) : 0.0;
+        });
+    }
+
+    // The logarithmic change of the inverse lengths along dx, and the cotangent of x by those of them.
+    void find_change_of_length(const double* x, const double* dx) {
+        each_spin([&](int64_t i, int64_t j, int64_t k) {
+            const double product = fma(x[i], dx[i], fma(x[j], dx[j], x[k] * dx[k]));
+            of_length[i] = of_length[j] = of_length[k] = -(inverse[i] * inverse[i] * product);
+        });
+    }
+
+    void add_of_lengths(const double* x, double* cotangent) const {
+        each_spin([&](int64_t i, int64_t j, int64_t k) {
+            const double sum = -(inverse[i] * inverse[i] * (of_length[i] + of_length[j] + of_length[k]));
+            for (const int64_t at : {i, j, k}) cotangent[at] = fma(sum, x[at], cotangent[at]);
+        });
+    }
+
+    template <class Visit>
+    void each_spin(const Visit& visit) const {
+        for (int64_t s = 0; s < spins.size(); ++s)
+            visit(spins.coordinate[0][s], spins.coordinate[1][s], spins.coordinate[2][s]);
     }
 
     // As `Force::shake`.
@@ -263,6 +427,7 @@ class OrbitDerivative {
                 else
                     v[a] = force.aim[force.shape == DIAGONAL ? a : 0] * length;
             }
+            for (int64_t i = 0; adds && i < n; ++i) v[i] *= std::sqrt(inverse[i]);
             Exponential& one = next();
             if (!one.of(v.data(), 1.0, x.data())) return false;
             x = one.end;
@@ -273,40 +438,37 @@ class OrbitDerivative {
     // As `Force::settle`, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
         std::copy_n(x.data(), n, middle.data());
-        std::vector<double> before(n);
-        double last = std::numeric_limits<double>::infinity();
-        for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
+        Settling settled;
+        for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
-            metric(other.data(), v.data());
+            direction_of(other.data(), gradients.data(), tau, v.data());
             before = middle;
             if (!half.of(v.data(), 0.5, x.data())) return false;
             middle = half.end;
-            if (settled(middle, before, last)) break;
+            if (settled(middle, before)) break;
         }
-        gradient(field, SharedConstants{}, middle.data(), t + 0.5 * tau, gradients.data(), fields);
+        slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
+        for (int64_t i = 0; i < n; ++i) driven[i] = inverse[i] * other[i];
         Exponential& whole = next();
         if (!whole.of(v.data(), 1.0, x.data())) return false;
         x = whole.end;
         return true;
     }
 
-    // Whether an iteration ends: its changes are round-off, and no longer fall.
-    bool settled(const std::vector<double>& now, const std::vector<double>& before, double& last) const {
-        double change = 0.0, size = 0.0;
-        for (int64_t i = 0; i < n; ++i) {
-            change += absolute(now[i] - before[i]);
-            size += absolute(now[i]);
-        }
-        const bool ends = !(change > SETTLED * size) || (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size);
-        last = change;
-        return ends;
+    double rate(int64_t i) const { return force.rate[force.shape == DIAGONAL ? i : 0]; }
+
+    // Set out to P y, with the gradient that is added.
+    void direction_of(const double* y, const double* gradient, double tau, double* out) const {
+        metric(y, out);
+        for (int64_t i = 0; adds && i < n; ++i) out[i] = fma(tau * turning(i), gradient[i], out[i]);
     }
 
-    // Set out to P y.
+    double turning(int64_t i) const { return force.turning[force.shape == DIAGONAL ? i : 0]; }
+
     void metric(const double* y, double* out) const {
         for (int64_t i = 0; i < n; ++i) {
             if (force.shape != FULL) {
-                out[i] = force.rate[force.shape == DIAGONAL ? i : 0] * y[i];
+                out[i] = rate(i) * inverse[i] * y[i];
                 continue;
             }
             double sum = 0.0;
@@ -320,6 +482,7 @@ class OrbitDerivative {
         metric(of_v, other.data());  // P is symmetric
         std::fill_n(of_gradient, n, 0.0);
         half.add_of_direction(middle.data(), other.data(), tau, of_gradient);
+        for (int64_t i = 0; adds && i < n; ++i) of_gradient[i] = fma(tau * turning(i), of_v[i], of_gradient[i]);
         hessian(t, of_gradient, of_midpoint);
         half.add_transposed(gradients.data(), other.data(), tau, of_midpoint);
     }

@@ -1,0 +1,203 @@
+// Derivatives of the noise of Hamiltonians in a step, by the state and by its coefficients: `HamiltonianNoise` for one member.
+#pragma once
+
+#include "forces/hamiltonian_noise.hpp"
+#include "tangents/orbit_derivatives.hpp"
+
+namespace coadjoint {
+
+class NoiseDerivative {
+  public:
+    NoiseDerivative(const ForceTable& force, const Field& field, const ForceDerivatives& table)
+        : force(force), field(field), table(table), n(field.size), rows(force.begin + force.sets + 1),
+          columns(force.direction + force.extent), of_spins(spins.find(field, MemberConstants{1, 0})),
+          increments(force, force.position, force.extent, 0), now(n), v(n), slope(n), of_v(n), first(n), before(n),
+          through(n), dv(n), dm(n), row(n) {
+        int64_t functions = 0, terms = 0;
+        for (int64_t set = 0; set < force.sets; ++set)
+            for (int64_t b = motion_of(set), q = rows[b]; force.aim[set] != 0.0 && q < rows[b + 1]; ++q)
+                functions = std::max(functions, columns[q] + 1);
+        for (int64_t k = 0; k < functions; ++k) {
+            const Field& own = *reinterpret_cast<const Field*>(force.function[k]);
+            energies.emplace_back(new Energy{own, table.hessians + terms, FieldWorkspace<double>(own), HessianWorkspace<double>(own.terms)});
+            terms += own.terms.size;
+        }
+    }
+
+    // Replace vectors at a state before the noise on a side of a step from t of length h by their tangents after it, along
+    // directions of the coefficients, which are those of the table; false as of `OrbitDerivative`.
+    bool push(const double* x, double t, double h, int64_t member, int64_t side, double* vectors, int64_t count,
+              const double* directions, int64_t stride) {
+        if (!find(x, t, h, member, side)) return false;
+        for (int64_t r = 0; r < count; ++r) {
+            double* const dx = vectors + r * n;
+            const double* const along = directions + r * stride;
+            for (size_t k = 0; k < used; ++k) {
+                Part& part = *parts[k];
+                std::fill(first.begin(), first.end(), 0.0);
+                if (table.own)
+                    each_coefficient_of(part, [&](int64_t q, int64_t i, double factor) {
+                        first[i] = fma(factor, along[q], first[i]);
+                    });
+                if (part.kind == IMPLICIT) {
+                    std::fill(dv.begin(), dv.end(), 0.0);
+                    Settling settled;
+                    for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
+                        before = dv;
+                        std::copy_n(dx, n, dm.data());
+                        for (double& entry : dv) entry *= 0.5;
+                        part.half.push(dv.data(), dm.data());
+                        dv = first;
+                        add_hessian(part, t, dm.data(), dv.data());
+                        if (settled(dv, before)) break;
+                    }
+                } else {
+                    dv = first;
+                    add_hessian(part, t, dx, dv.data());
+                }
+                part.whole.push(dv.data(), dx);
+            }
+        }
+        return true;
+    }
+
+    // Replace the cotangent of the state after the noise by that before, and add those of the coefficients.
+    bool pull(const double* x, double t, double h, int64_t member, int64_t side, double* cotangent, double* by_coefficients) {
+        if (!find(x, t, h, member, side)) return false;
+        for (size_t k = used; k-- > 0;) {
+            Part& part = *parts[k];
+            part.whole.pull(cotangent, of_v.data());
+            first = of_v;
+            Settling settled;
+            for (int64_t k = 0; part.kind == IMPLICIT && k < Settling::MOST_ITERATIONS; ++k) {
+                before = of_v;
+                std::fill(through.begin(), through.end(), 0.0);
+                add_hessian(part, t, of_v.data(), through.data());
+                part.half.pull(through.data(), row.data());
+                for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
+                if (settled(of_v, before)) break;
+            }
+            std::fill(through.begin(), through.end(), 0.0);
+            add_hessian(part, t, of_v.data(), through.data());
+            if (part.kind == IMPLICIT) part.half.pull(through.data(), row.data());
+            for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
+            if (table.own)
+                each_coefficient_of(part, [&](int64_t q, int64_t i, double factor) {
+                    by_coefficients[q] = fma(factor, of_v[i], by_coefficients[q]);
+                });
+        }
+        return true;
+    }
+
+  private:
+    // One exponential of linear functions that commute; of a function whose gradient is constant along its flow; or the
+    // midpoint rule of a sum of functions.
+    enum Kind { LINEAR, EXPLICIT, IMPLICIT };
+    struct Part {
+        Kind kind;
+        int64_t begin, end;  // the motions in a set, or the rows of a sum
+        double size;
+        Exponential whole, half;
+        std::vector<double> at;  // where the gradients are taken
+        Part(const Field& field, const Spins* spins) : whole(field, spins), half(field, spins) {}
+    };
+    struct Energy {
+        const Field& field;
+        const int64_t* hessians;
+        FieldWorkspace<double> workspace;
+        HessianWorkspace<double> seconds;
+    };
+    const ForceTable& force;
+    const Field& field;
+    const ForceDerivatives& table;
+    const int64_t n;
+    const int64_t *rows, *columns;
+    Spins spins;
+    const bool of_spins;
+    BrownianIncrements increments;
+    const double* sums = nullptr;
+    double time = 0.0;
+    std::vector<std::unique_ptr<Energy>> energies;
+    std::vector<std::unique_ptr<Part>> parts;
+    size_t used = 0;
+    std::vector<double> now, v, slope, of_v, first, before, through, dv, dm, row;
+
+    int64_t motion_of(int64_t set) const { return force.direction[force.begin[set]]; }
+
+    bool find(const double* x, double t, double h, int64_t member, int64_t side) {
+        sums = increments.of(t, h, member).sums.data();
+        time = t;
+        used = 0;
+        std::copy_n(x, n, now.data());
+        for (int64_t k = 0; k < force.sets; ++k) {
+            const int64_t set = side ? force.sets - 1 - k : k, flows = int64_t(force.aim[set]), b = motion_of(set);
+            const int64_t count = rows[b + 1] - rows[b];
+            if (!flows && !move(LINEAR, force.begin[set], force.begin[set + 1], 1.0)) return false;
+            for (int64_t k = 0; k < flows; ++k)
+                if (!move(IMPLICIT, rows[b], rows[b + 1], fraction_of(k, flows) * sums[b])) return false;
+            for (int64_t k = 0; k < -flows; ++k)
+                for (int64_t p = 0; p < 2 * count - 1; ++p) {
+                    const int64_t q = rows[b] + (p < count ? p : 2 * count - 2 - p);
+                    if (!move(EXPLICIT, q, q + 1, (p == count - 1 ? 1.0 : 0.5) * fraction_of(k, -flows) * sums[b])) return false;
+                }
+        }
+        return true;
+    }
+
+    bool move(Kind kind, int64_t begin, int64_t end, double size) {
+        if (used == parts.size()) parts.emplace_back(new Part(field, of_spins ? &spins : nullptr));
+        Part& part = *parts[used++];
+        part.kind = kind, part.begin = begin, part.end = end, part.size = size, part.at = now;
+        Settling settled;
+        for (int64_t k = 0; kind == IMPLICIT && k < Settling::MOST_ITERATIONS; ++k) {
+            before = part.at;
+            find_direction(part);
+            if (!part.half.of(v.data(), 0.5, now.data())) return false;
+            part.at = part.half.end;
+            if (settled(part.at, before)) break;
+        }
+        if (kind != IMPLICIT) find_direction(part);
+        if (!part.whole.of(v.data(), 1.0, now.data())) return false;
+        now = part.whole.end;
+        return true;
+    }
+
+    void find_direction(const Part& part) {
+        std::fill(v.begin(), v.end(), 0.0);
+        each_coefficient_of(part, [&](int64_t q, int64_t i, double factor) { v[i] = fma(force.rate[q], factor, v[i]); });
+    }
+
+    // Visit the derivatives of the direction by the coefficients of a part.
+    template <class Visit>
+    void each_coefficient_of(const Part& part, const Visit& visit) {
+        for (int64_t e = part.begin; e < part.end; ++e) {
+            if (part.kind == LINEAR) {
+                const int64_t b = force.direction[e];
+                for (int64_t q = rows[b]; q < rows[b + 1]; ++q) visit(q, columns[q], sums[b]);
+                continue;
+            }
+            Energy& energy = *energies[columns[e]];
+            InterruptCheck::of_this_call().after(work_of(energy.field));
+            gradient(energy.field, MemberConstants{1, 0}, part.at.data(), time, slope.data(), energy.workspace);
+            for (int64_t i = 0; i < n; ++i) visit(e, i, part.size * slope[i]);
+        }
+    }
+
+    // out += the derivative of the direction by where the gradients are taken, times y; it is symmetric.
+    void add_hessian(const Part& part, double t, const double* y, double* out) {
+        for (int64_t q = part.begin; part.kind != LINEAR && q < part.end; ++q) {
+            Energy& energy = *energies[columns[q]];
+            const Terms& terms = energy.field.terms;
+            const double size = part.size * force.rate[q];
+            InterruptCheck::of_this_call().after(work_of(energy.field));
+            for (int64_t k = 0; k < terms.size; ++k)
+                each_second_derivative(terms, SharedConstants{}, energy.hessians, k, part.at.data(), t, energy.seconds, false,
+                                       [&](int64_t place, uint32_t coordinate, double number, const auto& product) {
+                                           double& to = out[terms.target[place]];
+                                           to = fma(size * product(number), y[coordinate], to);
+                                       });
+        }
+    }
+};
+
+}  // namespace coadjoint
