@@ -219,7 +219,7 @@ def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
         if isinstance(getattr(type(system), name, None), cached_property):
             del vars(changed)[name]
     fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_integrals": {}}
-    fields |= dict.fromkeys(("closed_form", "_parameters", "_base_parameters"))
+    fields |= dict.fromkeys(("closed_form", "_parameters", "_base_parameters", "_constants"))
     for name, value in fields.items():
         if hasattr(system, name):
             object.__setattr__(changed, name, value)

@@ -187,10 +187,24 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
         return _of_matrix_builder(system, given)
     if not system.hamiltonian.terms():
         return {}
-    declared = _declaration(system, given)
+    own = _with_values(_of_constants(system), given)
+    rest = {name: value for name, value in given.items() if name not in own}
+    declared = _declaration(system, rest) if rest or not given else None
     if declared is not None:
-        return _of_declared(declared, {**system.parameters, **given})
-    return _with_values(_of_hamiltonian(system.hamiltonian, system.dim), given)
+        return _of_declared(declared, {**system.parameters, **rest}) | own
+    found = _with_values(_of_hamiltonian(system.hamiltonian, system.dim), rest) | own
+    return {name: one for name, one in found.items() if name != "coefficients" or not own}
+
+
+def _of_constants(system: Any) -> dict[str, Parameter]:
+    """Return the constants of a system by name."""
+
+    def derivative(coefficients: Callable[[], EnergyCoefficients]) -> EnergyDerivative:
+        found = coefficients()
+        return EnergyDerivative.of_coefficients(1, [(np.zeros(found.monomials.size, dtype=np.int64), found)])
+
+    constants = system._constants or {}
+    return {name: _linear(np.array(value), partial(derivative, one)) for name, (value, one) in constants.items()}
 
 
 def _with_values(parameters: Mapping[str, Parameter], values: Mapping[str, Floats]) -> dict[str, Parameter]:
@@ -237,6 +251,14 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
         of_forces = {name: value for name, value in values.items() if name in force_numbers(system)}
         rest = {name: value for name, value in values.items() if name not in of_forces}
         return with_force_values(system, with_parameters(system.unforced, rest) if rest else system.unforced, of_forces)
+    constants = {name: float(value) for name, value in values.items() if name in (system._constants or {})}
+    if constants:
+        system = system._with_constants(constants)
+        values = {name: value for name, value in values.items() if name not in constants}
+        if not values:
+            return system
+        if "M" in values:
+            raise ValueError(f"M is given with {', '.join(constants)}, which it contains; give other values of one")
     builder = _builder_of(system, values)
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, Self
@@ -93,6 +93,7 @@ class System:
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
+    _constants: Mapping[str, Any] | None = None  # by name, see `spin_constants`
     _base_parameters: dict[str, Any] | None = None  # of the system that has another linear term, without inputs
     _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
     closed_form: Callable[..., Any] | None = None  # ``exact(x0, t, attitude)``

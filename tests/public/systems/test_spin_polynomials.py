@@ -128,9 +128,7 @@ def test_derivatives():
     def end(method, x, K=K):
         return co.integrate(spins if K == -0.3 else few(2, K=K), x, (0, 0.5), 0.01, method).x[-1]
 
-    monomials = spins.hamiltonian.summands[1].polynomial.monomials
-    of_K = np.array([float(c) * any(key[:3]) * any(key[3:]) / K for key, c in monomials.items()])
-    # The derivative by a coefficient of parts that share it is that of the exact motion, to the order of the scheme.
+    # The derivative by a constant of parts that share it is that of the exact motion, to the order of the scheme.
     for method, of_scheme in ((co.Splitting(order=6), 1e-8), (co.GaussLegendre(3), 1e-8)):
         _, pullback = co.prepare(spins, method, step=0.01).vjp(x0, (0, 0.5), save_every=50)
         gradient = pullback(x=np.stack([np.zeros(6), direction]))
@@ -138,7 +136,69 @@ def test_derivatives():
         ahead, behind = (end(method, x0 + e * d) @ direction for e in (1e-5, -1e-5))
         assert abs(gradient["x0"] @ d - (ahead - behind) / 2e-5) < 1e-7
         ahead, behind = (end(method, x0, K + e) @ direction for e in (1e-5, -1e-5))
-        assert abs(gradient["coefficients"] @ of_K - (ahead - behind) / 2e-5) < of_scheme
+        assert abs(gradient["biquadratic 1"] - (ahead - behind) / 2e-5) < of_scheme
+
+
+NAMED = {"biquadratic 1": K, **{f"{name} Mn 0": STEVENS[name] for name in ("B20", "B40", "B44")}}
+
+
+def of_constants(values, mode="dipole"):
+    """Return a chain of three spins with the constants of these values."""
+    spin = 2 if mode == "SU(N)" else S
+    chain = co.systems.spins(TETRAGONAL, (3, 1, 1), spin=spin, periodic=False, mode=mode)
+    chain = chain.exchange(BOND, J).biquadratic(BOND, values["biquadratic 1"])
+    return chain.single_ion("Mn", {name: values[f"{name} Mn 0"] for name in ("B20", "B40", "B44")}).field(B)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)])
+@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("change", ["nothing", "ions", "forces", "SU(N)"])
+def test_derivatives_by_constants_by_name(name, change, method):
+    """By central differences, whose error is h^2 of the third derivative, backward in time from another start."""
+    span, h = (0.3, -0.2), 1e-4
+
+    def spins(value):
+        found = of_constants(NAMED | {name: value}, mode="SU(N)" if change == "SU(N)" else "dipole")
+        if change == "ions":
+            return found.substitute("Mn", 0.4, seed=1, spin=1)
+        return found.with_forces(co.forces.LinearDamping(0.2)) if change == "forces" else found
+
+    at = spins(NAMED[name])
+    x = at.random(1) if change == "SU(N)" else start(3)
+    ready = co.prepare(at, method, step=0.005)
+    assert ready.parameters[name] == NAMED[name]
+    found = ready.jvp(x, span, {name: 1.0})[1].x[-1]
+    up, down = (co.integrate(spins(NAMED[name] + s * h), x, span, 0.005, method).x[-1] for s in (1, -1))
+    expected = (up - down) / (2 * h)
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    end = np.random.default_rng(2).standard_normal(at.dim)
+    sol, pullback = ready.vjp(x, span)
+    gradient = pullback(x=np.concatenate([np.zeros((len(sol.x) - 1, at.dim)), end[None]]))[name]
+    np.testing.assert_allclose(gradient, end @ found, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_constants_are_fitted_by_name():
+    """Exact data are fitted to round-off; coefficients that symmetry ties have derivatives together."""
+    x0, method = start(3), co.Splitting(order=4)
+    measured = {"x": co.integrate(of_constants(NAMED), x0, (0, 0.2), 0.01, method, save_every=5).x}
+    guess = co.prepare(of_constants({name: 1.05 * value for name, value in NAMED.items()}), method, step=0.01)
+    found = co.fit(guess, x0, (0, 0.2), measured, dict.fromkeys(NAMED, True), sigma={"x": 0.01}, save_every=5)
+    for name, value in NAMED.items():
+        assert abs(found.values[name] - value) < 1e-8
+    assert f"K = {float(found.values['biquadratic 1'])!r}" in str(found.solution.system)
+    cube = co.spins.crystal(lattice=(1, 1, 1, 90, 90, 90), sites={"Mn": (0, 0, 0)}, space_group="P m -3 m")
+    tied = co.systems.spins(cube, (2, 1, 1), periodic=False).single_ion("Mn", {"B40": 0.1, "B44": 0.5})
+    one = co.prepare(tied, method, step=0.01)
+    moved = one.jvp(start(2), (0, 0.1), {"B40 Mn 0": 1.0, "B44 Mn 0": 5.0})[1].x[-1]
+    ends = [
+        co.integrate(
+            co.systems.spins(cube, (2, 1, 1), periodic=False).single_ion("Mn", {"B40": b, "B44": 5 * b}),
+            start(2), (0, 0.1), 0.01, method,
+        ).x[-1]
+        for b in (0.1 + 1e-5, 0.1 - 1e-5)
+    ]  # fmt: skip
+    np.testing.assert_allclose(moved, (ends[0] - ends[1]) / 2e-5, atol=1e-7)
 
 
 def test_vacancies_and_substituted_ions():

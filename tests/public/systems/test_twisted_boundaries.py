@@ -162,8 +162,6 @@ def test_what_is_refused():
         co.systems.spins(SQUARE, (4, 4, 4), twist=(0.5, 0, 0), axis=(0, 0, 0))
     still = plain.exchange(ROW, 1.0)
     sol = co.integrate(still, np.tile([0.0, 0, 1], 64), (0, 1), 0.1, co.GaussLegendre(1))
-    with refused(ValueError, "twisted", "linear_modes"):
-        co.spectra.linear_modes(still, sol.x[-1], [(0, 0, 0), (1, 0, 0)])
     with refused(ValueError, "with the twist", "Powder"):
         co.spectra.structure_factor(sol, co.spectra.Powder([1, 2]))
     other = co.systems.spins(SQUARE, (4, 4, 4), twist=(0.1, 0, 0)).exchange(ROW, 1.0)

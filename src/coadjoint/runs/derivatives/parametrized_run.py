@@ -207,13 +207,15 @@ class ParametrizedRun:
     def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
         # Copies: a cached run may not share memory with arrays that change.
         given = {name: np.array(value) for name, value in values.items() if name in self._shapes}
-        if all(np.array_equal(value, self._run.parameters[name].value) for name, value in given.items()):
+        own = self._run.parameters
+        changed = {name: value for name, value in given.items() if not np.array_equal(value, own[name].value)}
+        if not changed:
             return self._run
         key, (last, run) = _key(given), self._last_run
         if key != last:
             system = self._run.system
             run = DifferentiableRun(
-                self._prepared.of_system(with_parameters(system, given)), parameters_at(system, given)
+                self._prepared.of_system(with_parameters(system, changed)), parameters_at(system, given)
             )
             self._last_run = key, run
         return run

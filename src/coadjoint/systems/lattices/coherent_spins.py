@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NoReturn, Self
 
@@ -14,23 +14,27 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import read_seed
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, AllowedMatrices, Bond
+from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, AllowedMatrices, Bond, Site
 from coadjoint.systems.lattices.couplings import driving_field
-from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Declaration, check_sizes
+from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Coupling, Declaration, check_sizes
 from coadjoint.systems.lattices.space_groups import product
+from coadjoint.systems.lattices.spin_constants import constants_of
 from coadjoint.systems.lattices.spin_lattice import axes_orthogonal_to
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.systems.lattices.spin_operators import (
     coefficients_of,
     coherent_amplitudes,
     levels_of,
+    operator_text,
     operators,
     pair_coefficients_of,
     ranks,
     rotations_of_operators,
     sites_algebra,
+    stevens_coefficients,
     tensor_operators,
 )
+from coadjoint.systems.lattices.spin_polynomials import not_empty, read_coefficient
 from coadjoint.systems.lattices.spin_terms import edges_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
@@ -126,7 +130,7 @@ class CoherentSpinModel(SpinModel):
             name=f"spins of SU({levels})",
             integrals=KnownInvariants({} if driven is not None else self._total_spins(M, on_site)),
         )
-        set_fields(self, boltzmann=units.k_B)
+        set_fields(self, boltzmann=units.k_B, _constants=constants_of(self))
 
     levels: int
 
@@ -166,10 +170,11 @@ class CoherentSpinModel(SpinModel):
         ----------
         site : str or int
             As for `SpinModel.single_ion`.
-        matrix : (N, N) array_like, complex or real
+        matrix : (N, N) array_like, complex or real, or mapping
             The operator, Hermitian, in the basis of Sz from m = S down to -S of `co.spins.operators`, whose axes are
             those of the Cartesian frame of the lattice; an energy. For N = 3 too it is an operator, not the matrix of
-            S . A S.
+            S . A S. Or Stevens coefficients by name, as of vectors, here of operators: ``{"B20": 0.1}`` is
+            ``0.1 (3 Sz @ Sz - S (S + 1))``; of degrees below N.
         time_reversal : bool
             Whether it must be even under time reversal, as all crystal fields are. False allows dipoles and octupoles,
             as of the field of neighbours that order.
@@ -196,11 +201,8 @@ class CoherentSpinModel(SpinModel):
         [0.3, 0.0]
         """
         chosen = self.crystal.site(site)
-        for known in self._declared.anisotropies:
-            if set(known.sites.tolist()) & set(chosen.sites.tolist()):
-                raise ValueError(
-                    f"site {chosen.label} {chosen.number} has a single-ion operator; give the sum of both once"
-                )
+        if isinstance(matrix, Mapping):
+            return self._with_stevens(chosen, not_empty(matrix))
         where = f"site {chosen.label} {chosen.number}"
         given = self._coefficients(matrix, "the single-ion matrix")
         odd = ranks(self.levels) % 2 == 1
@@ -213,10 +215,24 @@ class CoherentSpinModel(SpinModel):
                 "an operator such as D * Sz @ Sz, a field by field(B), or time_reversal=False"
             )
         found = self._equivalent(chosen, given[:, None], f"the single-ion matrix on {where}")[..., 0]
-        text = f"{where}: {self.levels} x {self.levels} operator"
-        return self._with(
-            anisotropies=(*self._declared.anisotropies, Anisotropy("single_ion", chosen.sites, found, (), text))
+        return self._with_anisotropy(
+            Anisotropy("a single-ion operator", chosen.sites, found, (), operator_text(given), chosen)
         )
+
+    def _with_stevens(self, site: Site, given: Mapping[str, Any], checked: bool = True) -> Self:
+        total = np.zeros(self.levels**2)
+        for name, coefficient in given.items():
+            degree, m, value = read_coefficient(name, coefficient)
+            if degree >= self.levels:
+                raise ValueError(
+                    f"{name} is given for {self.levels} levels, in which operators of degree {degree} vanish; give "
+                    f"coefficients up to degree {self.levels - 1}"
+                )
+            total += value * stevens_coefficients(self.levels, degree, m)
+        what = f"the sum of Stevens operators on site {site.label} {site.number}"
+        found = self._equivalent(site, total[:, None], what, checked)[..., 0]
+        text = ", ".join(f"{name} = {value!r}" for name, value in given.items())
+        return self._with_anisotropy(Anisotropy("Stevens coefficients", site.sites, found, (), text, site, given))
 
     def pair_coupling(self, bond: Bond, operator: Any) -> Self:
         """Return the model with the energy of any operator of the two sites of a bond and all equivalent ones.
@@ -247,7 +263,7 @@ class CoherentSpinModel(SpinModel):
         >>> round(model.energy(model.coherent((0, 0, 1))), 12)
         6.0
         """
-        return self._with_pairs("pair_coupling", bond, operator, "operator of two sites")
+        return self._with_pairs("pair_coupling", bond, operator)
 
     def biquadratic(self, bond: Bond, K: float) -> Self:
         """Return the model with the energy ``K (S_i . S_j)^2`` of operators on a bond and all equivalent ones.
@@ -282,15 +298,19 @@ class CoherentSpinModel(SpinModel):
         strength = read_number(K, "K")
         check_sizes(np.array(strength), "K")
         scalar = np.sum([np.kron(S, S) for S in operators(0.5 * (self.levels - 1))], axis=0)
-        return self._with_pairs("biquadratic", bond, strength * product(scalar, scalar), f"K = {strength:.6g}")
+        return self._with_pairs("biquadratic", bond, strength * product(scalar, scalar), {"K": strength})
 
-    def _with_pairs(self, what: str, bond: Bond, operator: Any, text: str) -> Self:
+    def _with_pairs(self, what: str, bond: Bond, operator: Any, constants: Mapping[str, float] | None = None) -> Self:
         self._check_bond(bond, what)
         given = pair_coefficients_of(self._operator(operator, f"the operator of {what}", self.levels**2))
         matrices = self._equivalent(bond, given, f"the operator on bond {bond.name}")
-        return self._with_coupling(what, bond.name, np.column_stack([bond.sites, bond.offsets]), matrices, text)
+        check_sizes(matrices, "the coupling")
+        bonds = np.column_stack([bond.sites, bond.offsets])
+        text = f"K = {constants['K']!r}" if constants else operator_text(given)
+        added = Coupling(what, bond.name, bonds, matrices, text, bond, constants)
+        return self._with(couplings=(*self._declared.couplings, added))
 
-    def _equivalent(self, kind: AllowedMatrices, given: Floats, what: str) -> Floats:
+    def _equivalent(self, kind: AllowedMatrices, given: Floats, what: str, checked: bool = True) -> Floats:
         """Return coefficients of operators at all equivalent places, (n, 1) of sites or (n, n) of bonds."""
         pair = given.shape[1] > 1
 
@@ -302,7 +322,7 @@ class CoherentSpinModel(SpinModel):
         if pair:
             same[kind._reversed] = same[kind._reversed].swapaxes(1, 2)
         size = np.abs(given).max()
-        if np.abs(same - given).max() > MATRIX_TOLERANCE * size:
+        if checked and np.abs(same - given).max() > MATRIX_TOLERANCE * size:
             raise ValueError(
                 f"{what} is not allowed by symmetry, whose rotations change it; give one that they leave as it is, or "
                 'a crystal with less symmetry, such as space_group="P 1"'
@@ -515,4 +535,5 @@ class CoherentSpinModel(SpinModel):
         return np.asarray(states.reshape(*states.shape[:-1], len(self.sites), -1))
 
     def __str__(self) -> str:
-        return f"{super().__str__()}\nstates of {self.levels} levels at each site, SU({self.levels})"
+        of_levels = f"states of {self.levels} levels at each site, SU({self.levels}), with O20 = 3 Sz @ Sz - S (S + 1)"
+        return f"{super().__str__()}\n{of_levels}"

@@ -49,7 +49,8 @@ UNITS = {
 class Coupling(NamedTuple):
     """Matrices of bonds of a cell, that act on states; `bonds` (k, 5) are sites and offsets.
 
-    States are unit vectors, or the unit and expectations of the operators of a site.
+    States are unit vectors, or the unit and expectations of the operators of a site. `given` are constants by key, K or
+    Stevens coefficients, of the bond or site `source`.
     """
 
     what: str
@@ -57,6 +58,8 @@ class Coupling(NamedTuple):
     bonds: Integers
     matrices: Floats
     text: str
+    source: Any = None
+    given: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +105,8 @@ class Anisotropy(NamedTuple):
     matrices: Floats
     polynomials: tuple[tuple[int, int, SitePolynomial], ...]
     text: str
+    source: Any = None
+    given: Mapping[str, float] | None = None
 
 
 class Biquadratic(NamedTuple):
@@ -112,6 +117,8 @@ class Biquadratic(NamedTuple):
     bonds: Integers
     strengths: Floats
     text: str
+    source: Any
+    given: Mapping[str, float]
 
 
 class Substitution(NamedTuple):

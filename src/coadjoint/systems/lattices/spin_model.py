@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
-from coadjoint.systems.lattices.bonds import Bond, antisymmetric
+from coadjoint.systems.lattices.bonds import Bond, Site, antisymmetric
 from coadjoint.systems.lattices.crystals import Crystal, check_bond, label_of
 from coadjoint.systems.lattices.declared_spins import (
     UNITS,
@@ -24,7 +24,9 @@ from coadjoint.systems.lattices.declared_spins import (
     cells_text,
     check_sizes,
 )
-from coadjoint.systems.lattices.spin_polynomials import propagated, read_stevens
+from coadjoint.systems.lattices.space_groups import product
+from coadjoint.systems.lattices.spin_constants import constants_of, with_constants
+from coadjoint.systems.lattices.spin_polynomials import not_empty, propagated, read_stevens
 from coadjoint.systems.lattices.spin_terms import system_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
@@ -65,7 +67,7 @@ class SpinModel(LiePoissonSystem):
     def __init__(self, declared: Declaration) -> None:
         set_fields(self, _declared=declared)
         super().__init__(**system_of(declared))
-        set_fields(self, boltzmann=UNITS[declared.units].k_B)
+        set_fields(self, boltzmann=UNITS[declared.units].k_B, _constants=constants_of(self))
 
     @property
     def crystal(self) -> Crystal:
@@ -225,7 +227,7 @@ class SpinModel(LiePoissonSystem):
         strengths = value * np.prod(lengths**2, axis=1)
         check_sizes(strengths, "the biquadratic coupling")
         bonds = np.column_stack([bond.sites, bond.offsets])
-        added = Biquadratic("biquadratic", bond.name, bonds, strengths, f"K = {value!r}")
+        added = Biquadratic("biquadratic", bond.name, bonds, strengths, f"K = {value!r}", bond, {"K": value})
         return self._with(biquadratics=(*self._declared.biquadratics, added))
 
     def single_ion(self, site: str | int, matrix: Any) -> Self:
@@ -277,32 +279,37 @@ class SpinModel(LiePoissonSystem):
         1.28
         """
         chosen = self.crystal.site(site)
-        lengths = self._declared.spin[chosen.sites]
-        what = "Stevens coefficients" if isinstance(matrix, Mapping) else "a single-ion matrix"
-        for known in self._declared.anisotropies:
-            if known.what == what and set(known.sites.tolist()) & set(chosen.sites.tolist()):
-                raise ValueError(f"site {chosen.label} {chosen.number} has {what}; give the sum of both once")
         if isinstance(matrix, Mapping):
-            named = dict(matrix)
-            matrix, by_degree = read_stevens(named, float(lengths[0]))
-            check_sizes(
-                np.array([c for terms in by_degree.values() for c in terms.values()]), "the Stevens coefficients"
-            )
-            polynomials = tuple(
-                (int(number), degree, polynomial)
-                for degree, terms in by_degree.items()
-                for number, polynomial in zip(chosen.sites, propagated(chosen, terms), strict=True)
-            )
-            matrices, text = (
-                chosen.single_ion(matrix),
-                ", ".join(f"{name} = {value!r}" for name, value in named.items()),
-            )
-        else:
-            matrices, polynomials = chosen.single_ion(matrix) * (lengths**2)[:, None, None], ()
-            text = f"A = {np.asarray(matrix).tolist()}"
-        matrices = 0.5 * (matrices + matrices.swapaxes(1, 2))  # of which the two triangles differ by rounding
-        check_sizes(matrices, "the single-ion matrix")
-        added = Anisotropy(what, chosen.sites, matrices, polynomials, f"site {chosen.label} {chosen.number}: {text}")
+            return self._with_stevens(chosen, not_empty(matrix))
+        lengths = self._declared.spin[chosen.sites]
+        matrices = _symmetric(chosen.single_ion(matrix) * (lengths**2)[:, None, None])
+        return self._with_anisotropy(
+            Anisotropy("a single-ion matrix", chosen.sites, matrices, (), f"A = {np.asarray(matrix).tolist()}", chosen)
+        )
+
+    def _with_stevens(self, site: Site, given: Mapping[str, Any], checked: bool = True) -> Self:
+        """Return the model with Stevens coefficients by name, of a site and all equivalent ones."""
+        matrix, by_degree = read_stevens(given, float(self._declared.spin[site.sites[0]]))
+        check_sizes(np.array([c for terms in by_degree.values() for c in terms.values()]), "the Stevens coefficients")
+        polynomials = tuple(
+            (int(number), degree, polynomial)
+            for degree, terms in by_degree.items()
+            for number, polynomial in zip(site.sites, propagated(site, terms, checked), strict=True)
+        )
+        R = site._rotations
+        matrices = _symmetric(site.single_ion(matrix) if checked else product(product(R, matrix), R.swapaxes(1, 2)))
+        text = ", ".join(f"{name} = {value!r}" for name, value in given.items())
+        return self._with_anisotropy(
+            Anisotropy("Stevens coefficients", site.sites, matrices, polynomials, text, site, given)
+        )
+
+    def _with_anisotropy(self, added: Anisotropy) -> Self:
+        where = f"{added.source.label} {added.source.number}"
+        for known in self._declared.anisotropies:
+            if known.what == added.what and set(known.sites.tolist()) & set(added.sites.tolist()):
+                raise ValueError(f"site {where} has {added.what}; give the sum of both once")
+        check_sizes(added.matrices, added.what)
+        added = added._replace(text=f"site {where}: {added.text}")
         return self._with(anisotropies=(*self._declared.anisotropies, added))
 
     def field(self, B: Any) -> Self:
@@ -505,6 +512,10 @@ class SpinModel(LiePoissonSystem):
         """
         return super().with_forces(*(_in_energies(force, self.boltzmann) for force in forces))
 
+    def _with_constants(self, values: Mapping[str, float]) -> Self:
+        found: Self = with_constants(self, values)
+        return found
+
     def _with(self, **changes: Any) -> Self:
         changed = type(self)(replace(self._declared, **changes))
         return changed._with_acting(self.forces) if self.forces else changed
@@ -595,6 +606,11 @@ def _in_energies(force: Any, boltzmann: float) -> Any:
     converted = replace(force, temperature=as_tuples(boltzmann * np.asarray(force.temperature)))
     set_fields(converted, _in_energies=True)
     return converted
+
+
+def _symmetric(matrices: Floats) -> Floats:
+    """Return symmetric matrices (k, 3, 3) whose triangles differ by rounding with equal ones."""
+    return np.asarray(0.5 * (matrices + matrices.swapaxes(1, 2)))
 
 
 def _described(J: Floats) -> str:

@@ -16,11 +16,13 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.lattices.space_groups import product
+from coadjoint.systems.lattices.spin_polynomials import directions, stevens, values_of
 from coadjoint.validation import read_number
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
+MAX_TEXT_TERMS = 9  # of an operator as text
 MAX_LEVELS = 16  # of a site: its algebra has 255 dimensions and some 10^4 structure constants
 
 
@@ -139,9 +141,49 @@ def pair_coefficients_of(operator: Complex) -> Floats:
     return _without_roundoff(found / (norms[:, None] * norms))
 
 
+def operator_text(coefficients: Floats) -> str:
+    """Return an operator of one or two sites, by coefficients in the basis, as a sum of spins and Stevens operators."""
+    levels = math.isqrt(len(coefficients))
+    names, units = ["1", "Sx", "Sy", "Sz"], [1.0] * 4
+    for index, (rank, q) in enumerate(orders(levels)[4:], 4):
+        even = rank in (2, 4, 6)
+        names.append(f"{'O' if even else 'T'}{rank}{q}")
+        units.append(float(stevens_coefficients(levels, rank, q)[index]) if even else 1.0)
+    pair = coefficients.ndim == 2
+    values = coefficients / (np.multiply.outer(units, units) if pair else np.array(units))
+    if not pair:
+        values = values[:, None]
+    found = [
+        (values[a, b], " ".join(name for name in ((names[a], names[b]) if pair else (names[a],)) if name != "1"))
+        for a, b in np.argwhere(np.abs(values) > 1e-12 * np.abs(values).max(initial=0.0)).tolist()
+    ]
+    if len(found) > MAX_TEXT_TERMS:
+        return f"{levels} x {levels} operator" if not pair else f"operator of {len(found)} products of {names[1]}, ..."
+    terms = [f"{'-' if value < 0 else '+'} {abs(value):.6g}{' ' if name else ''}{name}" for value, name in found]
+    first = terms[0].replace("- ", "-").removeprefix("+ ") if terms else "0"
+    return " ".join([first, *terms[1:]])
+
+
 def _without_roundoff(values: Floats) -> Floats:
     """Return coefficients without those that are round-off of the largest."""
     return np.where(np.abs(values) > 1e-15 * np.abs(values).max(initial=0.0), values, 0.0)
+
+
+def stevens_coefficients(levels: int, degree: int, m: int) -> Floats:
+    """Return the coefficients (N^2,) of a Stevens operator, which is a multiple of one operator of the basis.
+
+    Its expectation in the coherent state of a direction n is ``S^l (1 - 1/(2 S)) ... (1 - (l - 1)/(2 S)) O_lm(n)``.
+    """
+    spin, index = 0.5 * (levels - 1), orders(levels).index((degree, m))
+    points, function = directions(), stevens(degree, m)
+    values = values_of(function, points)
+    n = int(np.argmax(np.abs(values)))
+    Z = coherent_amplitudes(levels, points[n])
+    own = (Z.conj() * (tensor_operators(levels)[index] * Z).sum(axis=-1)).sum().real / (np.abs(Z) ** 2).sum()
+    factor = math.prod(1.0 - k / (2.0 * spin) for k in range(1, degree)) * spin**degree
+    found = np.zeros(levels**2)
+    found[index] = factor * values[n] / own
+    return found
 
 
 def rotations_of_operators(levels: int, rotations: Floats) -> Floats:

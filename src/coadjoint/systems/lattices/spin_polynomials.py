@@ -60,19 +60,19 @@ def stevens(degree: int, m: int) -> SitePolynomial:
     return found
 
 
+def not_empty(coefficients: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Return a copy of Stevens coefficients; ValueError if there are none."""
+    if not coefficients:
+        raise ValueError("the Stevens coefficients are empty; give some, such as {'B20': 0.1, 'B43': -0.02}")
+    return dict(coefficients)
+
+
 def read_stevens(coefficients: Mapping[Any, Any], length: float) -> tuple[Floats, dict[int, SitePolynomial]]:
     """Return the matrix of degree two and polynomials by higher degree, of directions of a spin of a length."""
     matrix, total = np.zeros((3, 3)), dict[int, SitePolynomial]()
-    if not coefficients:
-        raise ValueError("the Stevens coefficients are empty; give some, such as {'B20': 0.1, 'B43': -0.02}")
     for name, given in coefficients.items():
-        if name not in NAMES:
-            raise ValueError(
-                f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6"
-            )
-        value = read_number(given, f"the coefficient {name}")
-        degree = int(name[1])
-        factor, polynomial = value * length**degree, stevens(degree, int(name[2:]))
+        degree, m, value = read_coefficient(name, given)
+        factor, polynomial = value * length**degree, stevens(degree, m)
         if degree == 2:
             matrix += factor * _quadratic(polynomial)
         else:
@@ -80,6 +80,13 @@ def read_stevens(coefficients: Mapping[Any, Any], length: float) -> tuple[Floats
             for exponents, c in polynomial.items():
                 own[exponents] = own.get(exponents, 0.0) + factor * c
     return matrix, total
+
+
+def read_coefficient(name: Any, given: Any) -> tuple[int, int, float]:
+    """Validate the name and the value of a Stevens coefficient; return its degree, m and the value."""
+    if name not in NAMES:
+        raise ValueError(f"there is no Stevens coefficient {short(name)}; give some of B20, B21, B2-1, ..., B66, B6-6")
+    return int(name[1]), int(name[2:]), read_number(given, f"the coefficient {name}")
 
 
 def _quadratic(polynomial: SitePolynomial) -> Floats:
@@ -95,9 +102,11 @@ def _quadratic(polynomial: SitePolynomial) -> Floats:
     return matrix
 
 
-def propagated(site: Site, polynomial: SitePolynomial) -> list[SitePolynomial]:
+def propagated(site: Site, polynomial: SitePolynomial, checked: bool = True) -> list[SitePolynomial]:
     """Return the polynomials of all equivalent sites; ValueError if symmetry does not allow the given one."""
-    points = _directions()
+    if not checked:
+        return [turned(polynomial, turn) for turn in site._rotations]
+    points = directions()
     here = values_of(polynomial, points)
     mean = np.mean([values_of(polynomial, points @ turn) for turn in site._kept], axis=0)
     if np.abs(here - mean).max() > MATRIX_TOLERANCE * np.abs(here).max():
@@ -108,7 +117,7 @@ def propagated(site: Site, polynomial: SitePolynomial) -> list[SitePolynomial]:
     return [turned(polynomial, turn) for turn in site._rotations]
 
 
-def _directions() -> Floats:
+def directions() -> Floats:
     """Return directions that tell functions of degree six apart."""
     turns, heights = np.meshgrid(2.0 * np.pi * np.arange(13) / 13.0, np.linspace(-0.93, 0.95, 9))
     radii = np.sqrt(1.0 - heights**2)
@@ -117,13 +126,13 @@ def _directions() -> Floats:
 
 def values_of(polynomial: SitePolynomial, points: Floats | None = None) -> Floats:
     """Return the values of a polynomial at directions, by default many that tell polynomials apart."""
-    points = _directions() if points is None else points
+    points = directions() if points is None else points
     return np.asarray(sum(c * np.prod(points ** np.array(e), axis=1) for e, c in polynomial.items()))
 
 
 def _allowed(site: Site) -> str:
     """Return the combinations of Stevens functions of each degree that symmetry allows, as text."""
-    points, found = _directions(), []
+    points, found = directions(), []
     for degree in (2, 4, 6):
         functions = [stevens(degree, m) for m in range(-degree, degree + 1)]
         own = np.stack([values_of(one, points) for one in functions], axis=1)
