@@ -15,7 +15,16 @@ from jax.ad_checkpoint import checkpoint_name
 
 from coadjoint.algebra.invariants.sampled_checks import SEED
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
-from coadjoint.methods.numerics.solvers import LARGEST_CORRECTION, MOST_ITERATIONS, Coefficients
+from coadjoint.methods.numerics.solvers import (
+    LARGEST_CORRECTION,
+    LARGEST_ROUNDOFF,
+    LARGEST_SAMPLED,
+    MOST_ITERATIONS,
+    SAMPLED,
+    SAMPLES,
+    STALLED,
+    Coefficients,
+)
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
@@ -63,18 +72,38 @@ def _iterated(function: Callable[[Any], Any], first: Any, size: Any, most: int) 
     """Return the limit of iterations from a first guess, NaN without one; entries have the round-off of `size` too."""
 
     def unfinished(carry: Any) -> Any:
-        _, _, correction, previous, k = carry
-        falling = (correction < previous) | (correction > LARGEST_CORRECTION)
-        return falling & (correction > 2.0 * UNIT_ROUNDOFF) & (k < most)
+        _, _, correction, _, stalled, k = carry
+        patience = jnp.where(correction <= LARGEST_ROUNDOFF, STALLED, most)
+        patience = jnp.where(correction <= LARGEST_CORRECTION, 1, patience)
+        return (stalled < patience) & (correction > 2.0 * UNIT_ROUNDOFF) & (k < most)
 
     def improved(carry: Any) -> Any:
-        z, _, correction, _, k = carry
+        z, _, _, least, stalled, k = carry
         found = function(z)
         change, reach = jnp.abs(found - z), jnp.abs(found) + size
-        return found, jnp.max(change), jnp.max(jnp.where(change > 0.0, change / reach, 0.0)), correction, k + 1
+        correction = jnp.max(jnp.where(change > 0.0, change / reach, 0.0))
+        stalled = jnp.where(correction < least, 0, stalled + 1)
+        return found, jnp.max(change), correction, jnp.minimum(least, correction), stalled, k + 1
 
-    z, change, *_ = lax.while_loop(unfinished, improved, (first, jnp.inf, jnp.inf, jnp.inf, 0))
-    allowed = LARGEST_CORRECTION * jnp.max(jnp.abs(z)) + 16.0 * UNIT_ROUNDOFF * jnp.max(size)
+    z, change, *_ = lax.while_loop(unfinished, improved, (first, jnp.inf, jnp.inf, jnp.inf, 0, 0))
+    extent, own = jnp.max(jnp.abs(z)), jnp.max(size)
+    allowed = LARGEST_CORRECTION * extent + 16.0 * UNIT_ROUNDOFF * own
+    entries = jnp.arange(1.0, z.size + 1.0).reshape(z.shape)
+
+    # Where terms of the function cancel, its round-off is larger: the distance of its values at disturbed points.
+    def undecided(carry: Any) -> Any:
+        _, change, allowed, sample = carry
+        return (change > allowed) & (change <= LARGEST_SAMPLED * (extent + own)) & (sample <= SAMPLES)
+
+    def sampled(carry: Any) -> Any:
+        z, change, allowed, sample = carry
+        roundings = UNIT_ROUNDOFF * jnp.round(8.0 * jnp.cos(sample * entries)) * (jnp.abs(z) + size)
+        found = function(z)
+        distance = jnp.max(jnp.abs(function(z + roundings) - found))
+        change = jnp.minimum(change, jnp.max(jnp.abs(found - z)))
+        return found, change, jnp.maximum(allowed, SAMPLED * distance), sample + 1
+
+    z, change, allowed, _ = lax.while_loop(undecided, sampled, (z, change, allowed, 1))
     return jnp.where(change <= allowed, z, jnp.nan)
 
 

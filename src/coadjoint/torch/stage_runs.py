@@ -11,7 +11,15 @@ import torch
 from torch.utils import _pytree
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.numerics.solvers import LARGEST_CORRECTION, MOST_ITERATIONS
+from coadjoint.methods.numerics.solvers import (
+    LARGEST_CORRECTION,
+    LARGEST_ROUNDOFF,
+    LARGEST_SAMPLED,
+    MOST_ITERATIONS,
+    SAMPLED,
+    SAMPLES,
+    STALLED,
+)
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -99,16 +107,29 @@ def _largest(values: Any) -> Any:
 
 def _iterated(function: Callable[[Any], Any], z: Any, size: Any) -> Any:
     """Return the limit of iterations, NaN of members without one."""
-    correction = torch.inf
+    least, stalled = torch.inf, 0
     for _ in range(MOST_ITERATIONS):
         found = function(z)
         change, reach = (found - z).abs(), found.abs() + size
-        z, before = found, correction
-        correction = float(torch.where(change > 0.0, change / reach, 0.0).amax())
-        if not (correction < before or correction > LARGEST_CORRECTION) or correction <= 2.0 * UNIT_ROUNDOFF:
+        z, correction = found, float(torch.where(change > 0.0, change / reach, 0.0).amax())
+        stalled, least = 0 if correction < least else stalled + 1, min(least, correction)
+        patience = STALLED if correction <= LARGEST_ROUNDOFF else MOST_ITERATIONS
+        patience = 1 if correction <= LARGEST_CORRECTION else patience
+        if not (stalled < patience and correction > 2.0 * UNIT_ROUNDOFF):
             break
-    allowed = LARGEST_CORRECTION * _largest(z) + 16.0 * UNIT_ROUNDOFF * _largest(size.expand(z.shape))
-    return torch.where(_largest(change) <= allowed, z, torch.nan)
+    change, extent, own = _largest(change), _largest(z), _largest(size.expand(z.shape))
+    allowed = LARGEST_CORRECTION * extent + 16.0 * UNIT_ROUNDOFF * own
+    # Where terms of the function cancel, its round-off is larger: the distance of its values at disturbed points.
+    entries = torch.arange(1.0, z.numel() + 1.0, dtype=z.dtype).reshape(z.shape)
+    for sample in range(1, SAMPLES + 1):
+        if not bool(((change > allowed) & (change <= LARGEST_SAMPLED * (extent + own))).any()):
+            break
+        roundings = UNIT_ROUNDOFF * torch.round(8.0 * torch.cos(sample * entries)) * (z.abs() + size)
+        found = function(z)
+        distance = _largest(function(z + roundings) - found)
+        change, allowed = torch.minimum(change, _largest(found - z)), torch.maximum(allowed, SAMPLED * distance)
+        z = found
+    return torch.where(change <= allowed, z, torch.nan)
 
 
 class StageRun:

@@ -314,6 +314,25 @@ def test_states_near_equilibrium_and_flows_that_turn_too_far():
     assert np.isfinite(turned("so(5)", 3.9)).all() and np.isnan(turned("so(5)", 4.1)).all()
 
 
+@pytest.mark.parametrize("size", [1e2, 1e4])
+def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff(size):
+    """Pairs of units whose outputs differ by one: states of the compiled run, a gradient, NaN without limit."""
+    rng = np.random.default_rng(2)
+    first, turned = rng.standard_normal((2, 2, 3))
+    w = {"in": np.concatenate([first, first + turned / size]), "out": size * np.array([1.0, 1.0, -1.0, -1.0])}
+    system = co.LiePoissonSystem(get("so(3)"), energy(w), sign=-1)
+    arguments = {"method": co.GaussLegendre(2), "step": 0.1}
+    run, x0 = co.jax.solution(system, (0, 1), **arguments), np.array([[1.0, 0.2, 0.5], [0.1, -0.4, 0.3]])
+    # Ten steps of forces of the size of the weights, each of which is rounded some ten times.
+    allowed = 100 * size * UNIT_ROUNDOFF
+    np.testing.assert_allclose(run(x0), co.integrate(system, x0, (0, 1), **arguments).x, rtol=0, atol=allowed)
+    h, along = 1e-4, np.array([0.3, -0.2, 0.1])
+    slope = along @ jax.grad(lambda x: run(x)[-1, 0])(x0[0])
+    difference = (run(x0[0] + h * along)[-1, 0] - run(x0[0] - h * along)[-1, 0]) / (2 * h)
+    assert abs(slope - difference) < 1e-6 + allowed / h
+    assert np.isnan(co.jax.solution(system, (0, 50), method=co.GaussLegendre(2), step=50.0)(x0)[-1]).all()
+
+
 OfTorch = type("Tensor", (), {"__module__": "torch", "__call__": lambda self, x: x})
 SYSTEM = co.systems.rigid_body((1.0, 2.0, 3.0))
 DIRECTIONS = np.eye(2, 3)

@@ -309,6 +309,19 @@ def test_casimirs_stay_and_steps_without_stages_are_nan():
     assert found[-1, 0].isfinite().all() and found[-1, 1].isnan().all()
 
 
+def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
+    """Pairs of units whose outputs differ by one: the states of the compiled run."""
+    size, rng = 1e4, np.random.default_rng(2)
+    first, turned = rng.standard_normal((2, 2, 3))
+    w = {"in": np.concatenate([first, first + turned / size]), "out": size * np.array([1.0, 1.0, -1.0, -1.0])}
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(network, w), sign=-1)
+    arguments = {"method": co.GaussLegendre(2), "step": 0.1}
+    found = co.torch.solution(system, (0, 1), **arguments)(MANY)
+    # Ten steps of forces of the size of the weights, each of which is rounded some ten times.
+    allowed = 100 * size * 2.0**-53
+    np.testing.assert_allclose(found, co.integrate(system, MANY, (0, 1), **arguments).x, rtol=0, atol=allowed)
+
+
 def body(H, **options):
     return co.torch.solution(
         co.LiePoissonSystem(co.algebras.so(3), H), (0, 1), **{"method": co.GaussLegendre(1), "step": 0.1, **options}

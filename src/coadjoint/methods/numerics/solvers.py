@@ -18,6 +18,7 @@ from coadjoint.systems.system import System
 # Most iterations in JAX and PyTorch: an error that halves in each of them is then round-off; and the largest last
 # correction of a fixed point there, relative to it, beyond round-off.
 MOST_ITERATIONS, LARGEST_CORRECTION = 50, 1e-13
+LARGEST_ROUNDOFF, STALLED = 2**-32, 4  # corrections below this that do not fall in so many iterations may be round-off
 MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
 LARGEST_SAMPLED = 2**-8  # of the size of the stages: larger corrections are not sampled
 SAMPLES, SAMPLE_LENGTH, SAMPLED = 8, 3, 32  # of this test: points, iterations from each, and most times their distance
