@@ -112,7 +112,7 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     found = in_python
     if kind in AFFINE_KINDS:
         found = FlowCoefficients("AFFINE", first)
-    elif kind == "OF_STATE" and not table.extent and (law := _of_law(system, j, entries, first)):
+    elif kind in ("OF_STATE", "BY_FLOW") and not table.extent and (law := _of_law(system, j, entries, first)):
         found = law
     elif kind in ("OF_STATE", "BY_FLOW"):
         found = (
@@ -211,16 +211,14 @@ def _of_law(system: Any, j: int, entries: Sequence[Any], first: int) -> FlowCoef
 
         found = _with_numbers(FlowCoefficients("ALONG", first), j, law.numbers, numbers_of, entries)
         moving = np.unique(found.multiples.position - first)
-        if law.entries(moving.tolist()) is None:
-            return None
-        functions = law.derivatives(moving.tolist())
+        pulled, pushed = law.derivatives(moving.tolist())
     except TracingError:
         return None
     place = np.searchsorted(moving, found.multiples.position - first)
     return found._replace(
         own=len(moving),
         multiples=found.multiples._replace(position=first + place),
-        law=(*functions, len(moving), law.graph.timed),
+        law=(pulled, pushed, len(moving), law.timed),
     )
 
 
@@ -295,9 +293,10 @@ def flow_derivatives(
         unit = np.eye(system.dim) if shape == "FULL" else 1.0
         matrix = np.concatenate([np.ravel(one - unit) for one in tangents])
     elif flow.law is not None:
-        n, what = system.dim, "the derivative of a torque"
+        n, what = system.dim, "the derivative of a force"
         pulled, pushed, own, timed = flow.law
-        sizes = ((pulled, 2 * n, n + own), (pushed, 2 * n + own, n))
+        size = 2 * n + (flow_table(system, j, order).kind == codes("ForceKind")["BY_FLOW"])
+        sizes = ((pulled, size, n + own), (pushed, size + own, n))
         kept_laws = [
             compiled_function(one, size, results, scalar=False, flat=True, timed=timed, what=what)
             for one, size, results in sizes

@@ -511,12 +511,13 @@ def flow_table(system: Any, j: int, order: int) -> ForceTable:
 
 
 def law_of_flow(system: Any, j: int, order: int) -> TracedLaw:
-    """Return the function of the flow j, of a torque, by its operations; TracingError if it cannot be recorded."""
+    """Return the function of the flow j by its operations, of a torque or of a flow; TracingError if impossible."""
     reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
     system.flows[j][1].describe_to(reader, system.unforced)
-    if reader.called is None or is_called_in_python(reader.called):
-        raise TracingError("it is called in Python")
-    return traced_law(reader.called, system.dim, reader.arguments != "x")
+    if reader.called is None or is_called_in_python(reader.called) or "deviates" in reader.arguments:
+        raise TracingError("it is called in Python, or takes deviates")
+    adapted, n = _adapted_arguments(reader.called, reader.arguments, system.dim, None), system.dim
+    return traced_law(adapted, n + ("tau" in reader.arguments), n, reader.arguments != "x")
 
 
 def compiled_flow(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from coadjoint.systems.user_functions import first_difference
 Floats = NDArray[np.float64]
 
 
-def _larger(operation: str, numbers: Any) -> Any:
+def _by_method(operation: str, numbers: Any) -> Any:
     """Return a function of NumPy of two arguments, of arrays of numbers and of `Traced` ones."""
 
     def apply(a: Any, b: Any) -> Any:
@@ -27,12 +28,27 @@ def _larger(operation: str, numbers: Any) -> Any:
     return np.frompyfunc(apply, 2, 1)
 
 
-REPLACED = {np.maximum: _larger("maximum", np.maximum), np.minimum: _larger("minimum", np.minimum)}
-"""Functions whose results for objects NumPy finds by comparing them."""
+def _chosen(condition: Any, one: Any, other: Any) -> Any:
+    if not isinstance(condition, Traced):
+        return one if condition else other
+    return condition * one + (1 - condition) * other
 
 
-class TracedLaw(NamedTuple):
-    """A function of (x) or (x, t), x (n,), with n results: its operations, and the entries of these results."""
+def _with_sign(size: Any, sign: Any) -> Any:
+    return np.abs(size) * (1 - 2 * (sign < 0.0))
+
+
+REPLACED = (
+    (np.maximum, _by_method("maximum", np.maximum)),
+    (np.minimum, _by_method("minimum", np.minimum)),
+    (np.where, np.frompyfunc(_chosen, 3, 1)),
+    (np.copysign, np.frompyfunc(_with_sign, 2, 1)),
+)
+"""Functions whose results for objects NumPy finds by comparing them, or not at all."""
+
+
+class Branch(NamedTuple):
+    """The operations of a function where its conditions have some outcomes, and the entries of its results."""
 
     graph: Graph
     results: tuple[Any, ...]
@@ -44,34 +60,93 @@ class TracedLaw(NamedTuple):
 
     def form(self) -> Any:
         """Return what functions with other floats have in common."""
-        numbers = {k: value if isinstance(value, int) else None for k, value in self.graph.numbers.items()}
+        graph = self.graph
+        numbers = {k: value if isinstance(value, int) else None for k, value in graph.numbers.items()}
         results = [one.index if isinstance(one, Traced) else one for one in self.results]
-        return self.graph.operations, self.graph.inputs, numbers, results
+        return graph.operations, graph.inputs, numbers, results, graph.conditions, graph.decided
 
-    def entries(self, moving: Sequence[int]) -> list[int] | None:
-        """Return the entries of some of its `numbers`; None if one of them is an exponent."""
+    def entries(self, moving: Sequence[int]) -> list[int]:
+        """Return the entries of some of its `numbers`; TracingError if one of them is an exponent."""
         graph = self.graph
         floats = [k for k, value in graph.numbers.items() if isinstance(value, float)]
         found = [floats[number] for number in moving]
         powers = {k[1] for name, k in zip(graph.operations, graph.inputs, strict=True) if name == "pow"}
-        return None if powers & {*found} else found
+        if powers & {*found}:
+            raise TracingError("an exponent changes with a parameter")
+        return found
 
-    def derivatives(self, moving: Sequence[int]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Return the transposed derivative of (x, w), and the derivative of (x, v, changes of the moving numbers).
+    def test(self) -> Callable[..., Any]:
+        """Return the function that is positive where the conditions have these outcomes."""
+        graph, total = self.graph, 1
+        for index, outcome in zip(graph.conditions, graph.decided, strict=True):
+            total = total * (graph.at(index) if outcome else 1 - graph.at(index))
+        return graph.function([total], "{array}")
 
-        The former has derivatives by x, and by the moving numbers, of the sum of w times the results.
-        """
-        n, graph = len(self.results), self.graph
-        entries = self.entries(moving) or []
+    def derivatives(self, moving: Sequence[int], before: int, after: int) -> list[Callable[..., Any]]:
+        """Return the derivatives as `TracedLaw.derivatives`, of moving numbers among those of all branches."""
+        n, graph, entries = len(self.results), self.graph, self.entries(moving)
+        k = len(graph.variables)
+        weights = [graph.variable(f"x[{k + i}]") for i in range(n)]
         # Weights of the second one are no arguments: it is the derivative by them.
-        weights = [graph.variable(f"x[{n + k}]") for k in range(n)]
-        places = [graph.variable(f"w[{k}]") for k in range(n)]
-        variables = [one.index for one in graph.variables] + entries
+        places = [graph.variable(f"w[{i}]") for i in range(n)]
+        variables = [one.index for one in graph.variables[:n]] + entries
         pulled = graph.gradient(_combined(weights, self.results), variables)
-        along = [graph.variable(f"x[{n + k}]") for k in range(n + len(entries))]
+        pulled = [*pulled[:n], *[0] * before, *pulled[n:], *[0] * after]
+        along = [*weights, *(graph.variable(f"x[{k + n + before + i}]") for i in range(len(entries)))]
         pushed = _combined(along, graph.gradient(_combined(places, self.results), variables))
         slopes = graph.gradient(pushed, [one.index for one in places])
-        return graph.function(pulled, "{array}"), graph.function(slopes, "{array}")
+        return [graph.function(one, "{array}") for one in (pulled, slopes)]
+
+
+class TracedLaw(NamedTuple):
+    """A function of (x) or (x, t) with n results, the first n of x the state, by its branches."""
+
+    branches: tuple[Branch, ...]
+
+    @property
+    def timed(self) -> bool:
+        """Whether it takes the time."""
+        return self.branches[0].graph.timed
+
+    @property
+    def numbers(self) -> Floats:
+        """The floats in all branches."""
+        return np.concatenate([one.numbers for one in self.branches])
+
+    def form(self) -> Any:
+        """Return what functions with other floats have in common."""
+        return [one.form() for one in self.branches]
+
+    def derivatives(self, moving: Sequence[int]) -> list[Callable[..., Any]]:
+        """Return the transposed derivative of (x, w), and the derivative of (x, v, changes of the moving numbers).
+
+        The former has derivatives by the state, and by the moving numbers, of the sum of w times the results.
+        """
+        pairs, first = list[list[Callable[..., Any]]](), 0
+        for one in self.branches:
+            last = first + len(one.numbers)
+            own = [number - first for number in moving if first <= number < last]
+            before = sum(number < first for number in moving)
+            pairs.append(one.derivatives(own, before, len(moving) - before - len(own)))
+            first = last
+        tests = [one.test() for one in self.branches[:-1]]
+        return [_of_branches(tests, [pair[k] for pair in pairs], self.timed) for k in range(2)]
+
+
+def _of_branches(
+    tests: Sequence[Callable[..., Any]], functions: Sequence[Callable[..., Any]], timed: bool
+) -> Callable[..., Any]:
+    """Return the function of the first branch whose test is positive, or else the last one."""
+    *others, found = functions
+    for test, function in zip(reversed(tests), reversed(others), strict=True):
+        found = _either(test, function, found, timed)
+    return found
+
+
+def _either(test: Any, one: Any, other: Any, timed: bool) -> Callable[..., Any]:
+    if timed:
+        return lambda x, t: one(x, t) if test(x, t)[0] > 0.5 else other(x, t)
+    return lambda x: one(x) if test(x)[0] > 0.5 else other(x)
 
 
 def _combined(weights: Sequence[Any], values: Sequence[Any]) -> Any:
@@ -81,48 +156,64 @@ def _combined(weights: Sequence[Any], values: Sequence[Any]) -> Any:
     return total
 
 
-def traced_law(function: Callable[..., Any], n: int, timed: bool) -> TracedLaw:
-    """Record a function of (x) or (x, t) with n results; TracingError if impossible."""
-    graph, x = Graph(n, timed, folds=False), np.empty(n, dtype=object)
-    x[:] = graph.variables
-    arguments = (x, graph.time) if timed else (x,)
+MAX_BRANCHES = 8
+
+
+def traced_law(function: Callable[..., Any], size: int, n: int, timed: bool) -> TracedLaw:
+    """Record a function of (x) or (x, t) with n results, x (size,); TracingError if impossible."""
     function = getattr(function, "py_func", function)
-    try:
-        found = _recorded(function, arguments)
-    except Exception as reason:  # functions of users raise anything
-        raise TracingError(str(reason)) from reason
-    results = tuple(np.asarray(found, dtype=object).ravel().tolist())
-    if len(results) != n:
-        raise TracingError(f"it has {len(results)} results")
-    graph.folds = True
-    law = TracedLaw(graph, tuple(map(graph.operand, results)))
-    _compare(law, function)
+    branches, pending = list[Branch](), [list[bool]()]
+    while pending:
+        if len(branches) == MAX_BRANCHES:
+            raise TracingError(f"it has more than {MAX_BRANCHES} branches")
+        decided = pending.pop()
+        branches.append(_branch(function, size, n, timed, decided))
+        made = branches[-1].graph.decided
+        pending += [[*made[:k], True] for k in range(len(decided), len(made))]
+    law = TracedLaw(tuple(branches))
+    _compare(law, function, size, n)
     return law
 
 
-def _recorded(function: Any, arguments: tuple[Any, ...]) -> Any:
+def _branch(function: Callable[..., Any], size: int, n: int, timed: bool, decided: list[bool]) -> Branch:
     try:
-        return function(*arguments)
-    except (TypeError, ValueError):  # of arrays of floats that it fills, and of comparisons by NumPy
-        return with_new_arrays(function, lambda found: found.astype(object), REPLACED)(*arguments)
+        try:
+            changed = with_new_arrays(function, lambda found: found.astype(object), REPLACED)
+            graph, found = _recorded(changed, size, timed, decided)
+        except (TypeError, ValueError):  # arrays of objects have fewer functions
+            graph, found = _recorded(function, size, timed, decided)
+        results = [graph.operand(one) for one in np.asarray(found, dtype=object).ravel().tolist()]
+    except Exception as reason:  # functions of users raise anything
+        raise TracingError(str(reason)) from reason
+    if len(results) != n:
+        raise TracingError(f"it has {len(results)} results")
+    graph.folds = True
+    return Branch(graph, tuple(results))
 
 
-def _compare(law: TracedLaw, function: Callable[..., Any]) -> None:
+def _recorded(function: Any, size: int, timed: bool, decided: list[bool]) -> tuple[Graph, Any]:
+    graph, x = Graph(size, timed, folds=False), np.empty(size, dtype=object)
+    graph.decided, x[:] = decided.copy(), graph.variables
+    return graph, function(x, graph.time) if timed else function(x)
+
+
+def _compare(law: TracedLaw, function: Callable[..., Any], size: int, n: int) -> None:
     """Raise TracingError if the recorded operations have other values than the function, as where it tests types."""
-    graph, n = law.graph, len(law.results)
-    recorded, compared = graph.function(law.results, "{array}"), 0
+    tests = [one.test() for one in law.branches[:-1]]
+    values_of = [one.graph.function(one.results, "{array}") for one in law.branches]
+    recorded, compared = _of_branches(tests, values_of, law.timed), 0
 
     def at(one: Callable[..., Any], x: Any, t: Any) -> Any:
         try:
-            return np.asarray(one(x.copy(), t) if graph.timed else one(x.copy()), dtype=np.float64).ravel()
+            return np.asarray(one(x.copy(), t) if law.timed else one(x.copy()), dtype=np.float64).ravel()
         except (ArithmeticError, ValueError):  # outside its domain
             return np.full(n, np.nan)
 
     with np.errstate(all="ignore"):
-        for x in sample_points(n):
-            values = at(recorded, x, SAMPLE_TIME)
+        for x, t in product(sample_points(size), (SAMPLE_TIME, 0.0) if law.timed else (0.0,)):
+            values = at(recorded, x, t)
             compared += bool(np.isfinite(values).all())
-            if first_difference(lambda x, t: at(function, x, t), values, x, SAMPLE_TIME) is not None:
+            if first_difference(lambda x, t: at(function, x, t), values, x, t) is not None:
                 raise TracingError("it is another function where its operations are recorded")
     if not compared:
         raise TracingError("it has no finite values at sample points")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
@@ -18,7 +18,7 @@ CREATORS: tuple[Callable[..., Any], ...] = (
 class _NumPy:
     """NumPy, of which `CREATORS` return converted arrays, and in which some functions are replaced."""
 
-    def __init__(self, convert: Callable[[Any], Any], replaced: Mapping[Any, Any]) -> None:
+    def __init__(self, convert: Callable[[Any], Any], replaced: Sequence[tuple[Any, Any]]) -> None:
         self._convert, self._replaced = convert, replaced
 
     def __getattr__(self, name: str) -> Any:
@@ -26,8 +26,9 @@ class _NumPy:
 
     def of(self, function: Any) -> Any:
         """Return a function of NumPy, replaced, or converting what it returns; anything else unchanged."""
-        if isinstance(function, np.ufunc) and function in self._replaced:
-            return self._replaced[function]
+        for known, other in self._replaced:
+            if function is known:
+                return other
         if not any(function is creator for creator in CREATORS):
             return function
 
@@ -38,7 +39,7 @@ class _NumPy:
         return create
 
 
-def with_new_arrays(function: Any, convert: Callable[[Any], Any], replaced: Mapping[Any, Any] = {}) -> Any:
+def with_new_arrays(function: Any, convert: Callable[[Any], Any], replaced: Sequence[tuple[Any, Any]] = ()) -> Any:
     """Return a copy of a function of the user; it and functions that it calls convert the arrays they create."""
     numpy, copies = _NumPy(convert, replaced), dict[int, Any]()
 

@@ -52,6 +52,7 @@ UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "cbrt": lambda x, y: 1 / (3 * y * y),
     "abs": lambda x, y: x.sign(),
     "sign": lambda x, y: 0,
+    "floor": lambda x, y: 0,
 }
 """NumPy function -> its derivative at x, where its value is y."""
 
@@ -66,6 +67,8 @@ BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
     "maximum": ("np.maximum({}, {})", lambda a, b, y: (0.5 + 0.5 * (a - b).sign(), 0.5 - 0.5 * (a - b).sign())),
     "minimum": ("np.minimum({}, {})", lambda a, b, y: (0.5 - 0.5 * (a - b).sign(), 0.5 + 0.5 * (a - b).sign())),
     "greater": ("(1.0 if {} > {} else 0.0)", lambda a, b, y: (0, 0)),
+    "greater_equal": ("(1.0 if {} >= {} else 0.0)", lambda a, b, y: (0, 0)),
+    "equal": ("(1.0 if {} == {} else 0.0)", lambda a, b, y: (0, 0)),
 }
 """Operation -> its text, and its derivatives by both arguments, a and b, where its value is y."""
 
@@ -81,6 +84,9 @@ EVALUATED: dict[str, Callable[..., Any]] = {
 
 
 COMPARES = "it compares a coordinate or tests it, as `if`, np.where, np.maximum and np.sign do"
+
+
+CONVERTS = "it converts a coordinate to a plain number, as functions of `math`, `float` and np.floor do"
 
 
 class TracingError(TypeError):
@@ -101,10 +107,12 @@ class Graph:
     # constants too is that of other ones with the values of `fixed` entries, which depend on constants alone. Those
     # that vanish are numbers. Unless it `folds`, each number is an entry of its own, also 0 and 1 in sums and products,
     # so that functions with other numbers have the same operations; and it may have kinks, where the derivative is the
-    # mean of those on both sides.
+    # mean of those on both sides, and branches: conditions have the outcomes that are `decided`, and are false beyond.
 
     def __init__(self, n: int, timed: bool, constants: Sequence[float] = (), folds: bool = True) -> None:
         self.folds = folds
+        self.decided: list[bool] = []
+        self.conditions: list[int] = []  # entries that are tested
         self.operations: list[str] = []
         self.inputs: list[tuple[int, ...]] = []  # the arguments of each entry
         self.numbers: dict[int, int | float] = {}
@@ -165,6 +173,14 @@ class Graph:
         index = self._add("number", text=repr(argument) if self.folds else f"{argument!r} {len(self.operations)}")
         self.numbers[index] = argument
         return index
+
+    def outcome(self, condition: Traced) -> bool:
+        """Return the outcome of a condition, that of the next decision if it is not known."""
+        if condition.index not in self.conditions:
+            self.conditions.append(condition.index)
+            if len(self.decided) < len(self.conditions):
+                self.decided.append(False)
+        return self.decided[self.conditions.index(condition.index)]
 
     def operand(self, value: Any) -> Any:
         """Return a result of a function as a `Traced` one or a number; TracingError for others."""
@@ -362,12 +378,25 @@ def _folded(operation: str, a: Any, b: Any) -> Any:
     return None
 
 
+def _beside_infinity(operation: str, finite: Traced, other: float, swapped: bool) -> Any:
+    """Return the result of an operation of a law, whose coordinates are finite, and an infinite number."""
+    if operation in ("maximum", "minimum"):
+        return other if (other > 0.0) == (operation == "maximum") else finite
+    if operation in ("add", "sub"):
+        return -other if operation == "sub" and not swapped else other
+    if operation in ("greater", "greater_equal", "equal"):
+        return operation != "equal" and (other > 0.0) == swapped
+    raise TracingError(f"it combines a coordinate with {other}")
+
+
 def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], Any]:
     def apply(self: Traced, other: Any) -> Any:
         if isinstance(other, np.ndarray):
             if other.ndim:
                 return NotImplemented
             other = other.item()
+        if not self.graph.folds and isinstance(other, float) and math.isinf(other):
+            return _beside_infinity(operation, self, other, swapped)
         other = _operand(other)
         a, b = (other, self) if swapped else (self, other)
         folded = _folded(operation, a, b)
@@ -425,14 +454,20 @@ class Traced:
     maximum, minimum = _with_kink("maximum", COMPARES), _with_kink("minimum", COMPARES)
     __abs__ = _with_kink("abs", "it takes an absolute value (abs, np.abs), which has a kink")
     __gt__, __lt__ = _with_kink("greater", COMPARES), _with_kink("greater", COMPARES, swapped=True)
-    __eq__ = __ne__ = _refused(COMPARES)  # type: ignore[assignment]
-    __le__ = __ge__ = __bool__ = _refused(COMPARES)
-    __float__ = __int__ = __complex__ = _refused(
-        "it converts a coordinate to a plain number, as functions of `math`, `float` and np.floor do"
-    )
+    __ge__, __le__ = _with_kink("greater_equal", COMPARES), _with_kink("greater_equal", COMPARES, swapped=True)
+    __eq__ = _with_kink("equal", COMPARES)  # type: ignore[assignment]
+    __ne__ = _refused(COMPARES)  # type: ignore[assignment]
+    __floor__ = _with_kink("floor", CONVERTS)
+
+    def __bool__(self) -> bool:
+        if self.graph.folds:
+            raise TracingError(COMPARES)
+        return self.graph.outcome(self)
+
+    __float__ = __int__ = __complex__ = _refused(CONVERTS)
 
 
-for _name in UNARY.keys() - {"abs"}:
+for _name in UNARY.keys() - {"abs", "floor"}:
     setattr(Traced, _name, _unary(_name))
 
 

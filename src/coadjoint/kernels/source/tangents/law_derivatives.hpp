@@ -1,4 +1,4 @@
-// Derivatives of a step of the classical Runge-Kutta method, the flow of a torque whose function has derivatives.
+// Derivatives of a flow whose function has derivatives, or of a step of the classical Runge-Kutta method for a torque.
 #pragma once
 
 #include "forces/force.hpp"
@@ -8,22 +8,23 @@ namespace coadjoint {
 class LawDerivative {
   public:
     // Of the table, `functions` are two: of (x, w), the derivatives by x and by the `own` coefficients of w times the torque,
-    // and of (x, v, changes of the coefficients) the change of the torque.
+    // and of (x, v, changes of the coefficients) the change of the torque. A flow has its duration behind x.
     LawDerivative(Force& flow, const ForceDerivatives& table, int64_t n)
-        : flow(flow), table(table), n(n), states(STAGES * n), slopes(n), arguments(2 * n + table.own), found(n + table.own),
-          change(n), total(n) {}
+        : flow(flow), table(table), is_flow(flow.table.kind == BY_FLOW), n(n), size(n + is_flow), states(STAGES * n), slopes(n),
+          arguments(size + n + table.own), found(n + table.own), change(n), total(n) {}
 
     void push(const double* x, double t, double tau, double* vectors, int64_t count, const double* directions,
               int64_t stride) {
+        if (is_flow) return push_flow(x, t, tau, vectors, count, directions, stride);
         find(x, t, tau);
         for (int64_t v = 0; v < count; ++v) {
             double* const vector = vectors + v * n;
             std::fill(change.begin(), change.end(), 0.0);
             std::fill(total.begin(), total.end(), 0.0);
-            std::copy_n(directions + v * stride, table.own, arguments.data() + 2 * n);
+            std::copy_n(directions + v * stride, table.own, arguments.data() + size + n);
             for (int k = 0; k < STAGES; ++k) {
                 std::copy_n(states.data() + k * n, n, arguments.data());
-                for (int64_t i = 0; i < n; ++i) arguments[n + i] = fma(NODE[k] * tau, change[i], vector[i]);
+                for (int64_t i = 0; i < n; ++i) arguments[size + i] = fma(NODE[k] * tau, change[i], vector[i]);
                 derivative(1, fma(NODE[k], tau, t), change.data());
                 for (int64_t i = 0; i < n; ++i) total[i] = fma(WEIGHT[k], change[i], total[i]);
             }
@@ -32,13 +33,20 @@ class LawDerivative {
     }
 
     void pull(const double* x, double t, double tau, double* row, double* by_coefficients) {
+        if (is_flow) {
+            begin_flow(x, tau, row);
+            derivative(0, t, found.data());
+            std::copy_n(found.data(), n, row);
+            for (int64_t c = 0; c < table.own; ++c) by_coefficients[c] += found[n + c];
+            return;
+        }
         find(x, t, tau);
         std::copy_n(row, n, total.data());
         std::fill(change.begin(), change.end(), 0.0);  // the cotangent of the state of the stage behind
         for (int k = STAGES - 1; k >= 0; --k) {
             const double behind = k < STAGES - 1 ? NODE[k + 1] * tau : 0.0;
             std::copy_n(states.data() + k * n, n, arguments.data());
-            for (int64_t i = 0; i < n; ++i) arguments[n + i] = fma(WEIGHT[k] * tau, row[i], behind * change[i]);
+            for (int64_t i = 0; i < n; ++i) arguments[size + i] = fma(WEIGHT[k] * tau, row[i], behind * change[i]);
             derivative(0, fma(NODE[k], tau, t), found.data());
             for (int64_t i = 0; i < n; ++i) change[i] = found[i], total[i] += found[i];
             for (int64_t c = 0; c < table.own; ++c) by_coefficients[c] += found[n + c];
@@ -51,8 +59,24 @@ class LawDerivative {
     static constexpr double NODE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
     Force& flow;
     const ForceDerivatives& table;
-    const int64_t n;
+    const bool is_flow;
+    const int64_t n, size;
     std::vector<double> states, slopes, arguments, found, change, total;
+
+    void push_flow(const double* x, double t, double tau, double* vectors, int64_t count, const double* directions,
+                   int64_t stride) {
+        for (int64_t v = 0; v < count; ++v) {
+            begin_flow(x, tau, vectors + v * n);
+            std::copy_n(directions + v * stride, table.own, arguments.data() + size + n);
+            derivative(1, t, vectors + v * n);
+        }
+    }
+
+    void begin_flow(const double* x, double tau, const double* vector) {
+        std::copy_n(x, n, arguments.data());
+        arguments[n] = tau;
+        std::copy_n(vector, n, arguments.data() + size);
+    }
 
     // The states of the stages, as `Force::push_by_state`.
     void find(const double* x, double t, double tau) {
