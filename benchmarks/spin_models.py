@@ -1,6 +1,6 @@
 """Processor time of a step of a spin: simple cubic lattices by name, on a crystal, of SU(3), and with dipoles by FFT.
 
-python benchmarks/spin_models.py [--rounds R] [--only lattice crystal su3 neighbours dipoles]
+python benchmarks/spin_models.py [--rounds R] [--only lattice crystal su3 neighbours dipoles ...]
 """
 
 from __future__ import annotations
@@ -48,7 +48,22 @@ def neighbours() -> tuple[Any, Any, Any, int]:
 
 
 def dipoles() -> tuple[Any, Any, Any, int]:
+    """Return moments with Ewald's sums, a tenth of a unit each."""
     return model(LONG, g=0.1).dipolar(), directions(24_000), co.GaussLegendre(1), 24_000
+
+
+def open_neighbours() -> tuple[Any, Any, Any, int]:
+    """Return the same lattice with open boundaries."""
+    return model(LONG, periodic=False), directions(24_000), co.GaussLegendre(1), 24_000
+
+
+def open_dipoles() -> tuple[Any, Any, Any, int]:
+    return model(LONG, g=0.1, periodic=False).dipolar(), directions(24_000), co.GaussLegendre(1), 24_000
+
+
+def strong_dipoles() -> tuple[Any, Any, Any, int]:
+    """Return open boundaries and dipoles of the size of the exchange."""
+    return model(LONG, g=1.0, periodic=False).dipolar(), directions(24_000), co.GaussLegendre(1), 24_000
 
 
 def directions(count: int) -> Any:
@@ -56,8 +71,12 @@ def directions(count: int) -> Any:
     return (x / np.linalg.norm(x, axis=1, keepdims=True)).ravel()
 
 
+KINDS = (lattice, crystal, su3, neighbours, dipoles, open_neighbours, open_dipoles, strong_dipoles)
+RATIOS = {"dipoles": "neighbours", "open_dipoles": "open_neighbours", "strong_dipoles": "open_neighbours"}
+
+
 def main() -> None:
-    kinds: dict[str, Callable[[], Any]] = {f.__name__: f for f in (lattice, crystal, su3, neighbours, dipoles)}
+    kinds: dict[str, Callable[[], Any]] = {f.__name__: f for f in KINDS}
     parser = argparse.ArgumentParser(description="processor time of a step of a spin, least of several rounds")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--only", nargs="+", choices=list(kinds), default=list(kinds))
@@ -79,6 +98,9 @@ def main() -> None:
     print("| model | ns a site step | of the first |\n|---|---|---|")
     for name, value in least.items():
         print(f"| {name} | {value:.1f} | {value / first:.2f} |")
+    for name, other in RATIOS.items():
+        if {name, other} <= least.keys():
+            print(f"{name}: {least[name] / least[other]:.2f} times the run of {other}")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 import struct
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -20,8 +21,16 @@ from coadjoint.algebra.exact.sparse_sums import Floats, Integers
 from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.kernels.functions.compiled_functions import KernelFunction, compiled_function, python_callback
 from coadjoint.kernels.interface import check_fields, kernel_interface, limit
+from coadjoint.kernels.tables.convolutions import convolution_fields
 from coadjoint.program.sources import CoefficientNumbers
-from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python, of_constants
+from coadjoint.systems.lattices.dipoles import DipolarFunction
+from coadjoint.systems.user_functions import (
+    SumOfShares,
+    forms_of,
+    is_called_in_python,
+    of_constants,
+    without_multiples,
+)
 
 if TYPE_CHECKING:
     from coadjoint.program.sources import Sources
@@ -203,6 +212,15 @@ def share_table(share: KernelFunction, shares: int, results: int) -> KernelFunct
     return KernelFunction(-ctypes.addressof(table) - 1, (table, share), lambda: (share_table, (share, shares, results)))
 
 
+def convolution_table(function: DipolarFunction, factor: float) -> KernelFunction:
+    """Return a multiple of a dipolar energy or its gradient as a table, by the negative of its address, minus 3."""
+    fields, tensors = convolution_fields(function, factor)
+    table = filled("CellConvolution", **fields)
+    return KernelFunction(
+        -ctypes.addressof(table) - 3, (table, tensors), lambda: (convolution_table, (function, factor))
+    )
+
+
 Owners = tuple[KernelFunction, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""
 
@@ -302,6 +320,9 @@ def compiled_derivative(term: FunctionTerm, derivative: str, owner: str) -> Kern
     function, size = getattr(term, derivative), len(term.coordinates)
     if (forms := forms_of(function)) is not None:
         return formula_table(forms)
+    inner, multiples = without_multiples(function)
+    if isinstance(inner, DipolarFunction) and inner.order < 2:
+        return convolution_table(inner, math.prod(one.factor for one in multiples))
     results = size ** ORDERS[derivative]
     if is_called_in_python(function):
         return python_callback(function, size, results)

@@ -63,7 +63,10 @@ class DipolarCells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DipolarFunction:
-    """The dipolar energy of spins on cells, or its derivative of order 1 or 2; the loops call it in Python."""
+    """The dipolar energy of spins on cells, or its derivative of order 1 or 2.
+
+    The loops have the energy and the gradient as tables of `tensors`, and call second derivatives in Python.
+    """
 
     # The energy is `strength` times the sum over pairs of ``m m' (S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``: a
     # convolution with `tensors`, those of the cells.
@@ -145,10 +148,11 @@ def _open_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
     # Index k of an axis is the displacement k, or k - size where that is negative.
     steps = [np.fft.fftfreq(size, 1.0 / size) for size in cells.padded]
     offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1)
+    apart = np.all(np.abs(offsets) < cells.sizes, axis=-1)
     own = ~np.any(offsets, axis=-1) & np.eye(len(sites), dtype=bool)[(..., *(None,) * len(steps))]
     r = offsets @ edges + (sites[:, None] - sites).reshape(len(sites), len(sites), *(1,) * len(steps), 3)
     square = np.where(own, 1.0, np.sum(r**2, axis=-1))
-    inverse = np.where(own, 0.0, square**-1.5)
+    inverse = np.where(own | ~apart, 0.0, square**-1.5)
     tensors = (np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / square[..., None, None]) * inverse[..., None, None]
     return np.asarray(scipy.fft.rfftn(np.moveaxis(tensors, (-2, -1), (2, 3)), axes=cells.axes))
 
@@ -242,6 +246,8 @@ def _film_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
     in_space = scipy.fft.ifftn(far, axes=(0, 1)).real
     in_space = np.moveaxis(in_space, (0, 1, 4, 2, 3), (first, second, open_axis, 3, 4))
     total = near + in_space
+    # Layers that are further apart than any two of the film.
+    total[(slice(None),) * open_axis + (np.abs(layers) >= cells.sizes[open_axis],)] = 0.0
     return np.asarray(scipy.fft.rfftn(np.moveaxis(total, (-4, -3, -2, -1), (0, 1, 2, 3)), axes=cells.axes))
 
 

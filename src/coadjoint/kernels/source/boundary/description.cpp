@@ -10,7 +10,7 @@ namespace coadjoint {
 
 EXPORT const char* description() {
     static const std::string all =
-        std::string(Terms_fields) + Forms_fields + SharedFunction_fields + Action_fields + FlowTables_fields + Watch_fields + EventTables_fields + Extent_fields +
+        std::string(Terms_fields) + Forms_fields + SharedFunction_fields + CellConvolution_fields + Action_fields + FlowTables_fields + Watch_fields + EventTables_fields + Extent_fields +
         Schedule_fields + WholeRun_fields + Field_fields + GroupField_fields + RungeKuttaTables_fields + StepTables_fields +
         ForceTable_fields + Stepping_fields + Tangents_fields + FlowTangents_fields + RungeKuttaTangents_fields + FlowCotangents_fields + RungeKuttaCotangents_fields + ForwardRun_fields + BackwardRun_fields + ForceDerivatives_fields + ForcedDerivatives_fields + UnshiftTables_fields +
         Unshifted_fields + saved_arrays + state_arrays + Status_codes + Outcome_codes + crossings::Crossing_codes + TermKind_codes + Role_codes +

@@ -50,6 +50,18 @@ TABLE(Forms, FORMS_FIELDS)
 #define SHARED_FIELDS(_) _(integer, address) _(integer, shares) _(integer, results)
 TABLE(SharedFunction, SHARED_FIELDS)
 
+// A convolution of vectors on cells with tensors, or half of its product with the vectors: see
+// `matrices/cell_convolution.cpp`. It begins as a `TableFunction`. Vector i is at place[i] of the cells, if these are
+// `placed`, and multiplied by factor[i], if `scaled`. A cell of three axes has `sites` vectors; axes are periodic with the
+// lengths `padded`, `steps` are the distances of cells in numbers. `tensors` are real with one site, symmetric matrices of
+// waves, eight waves of the last axis side by side: the rows of their upper triangles, and for several sites each followed
+// by its imaginary part.
+#define CONVOLUTION_FIELDS(_)                                                                                         \
+    _(integer, code) _(number, norm) _(flag, summed) _(integer, vectors) _(integer, sites) _(integers, sizes)        \
+    _(integers, padded) _(integers, steps) _(flag, placed) _(integers, place) _(flag, scaled) _(numbers, factor)     \
+    _(number, strength) _(numbers, tensors)
+TABLE(CellConvolution, CONVOLUTION_FIELDS)
+
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
     _(indices, position) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)              \

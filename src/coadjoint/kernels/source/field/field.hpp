@@ -9,11 +9,13 @@
 namespace coadjoint {
 
 // Scratch memory for evaluations of a field: rows of a term, arguments of functions, J as a function, calls; and the
-// partial components of the last gradient.
+// partial components of the last gradient. With `holds` the rows of linear functions of tables are held, and `reused`
+// instead of computed.
 template <class A>
 struct FieldWorkspace {
-    AlignedArray<A> rows, arguments, matrix, partial;
+    AlignedArray<A> rows, arguments, matrix, partial, held{0};
     std::vector<double> calls;
+    bool holds = false, reused = false;
     explicit FieldWorkspace(const Field& field)
         : rows(field.longest), arguments(field.longest + 1), matrix(field.nonlinear ? field.size * field.size : 0),
           partial(field.partials), calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
@@ -26,15 +28,23 @@ inline int64_t work_of(const Field& field) {
            (field.nonlinear ? WORK_OF_A_CALL + n * n : 2 * int64_t(field.first[n]));
 }
 
+// A bound of the norm of term k of a gradient as a map of x, if it is a linear function of a table, or 0.
+template <class C>
+INLINE double norm_of_term(const Field& field, const C& constants, int64_t k) {
+    if (field.terms.kind[k] != FUNCTION) return 0.0;
+    const TableFunction* function = table_function(constants.address(field.addresses, k, 0));
+    return function ? function->norm : 0.0;
+}
+
 // Set u = grad H(x, t).
 template <class A, class C>
 INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u,
                      FieldWorkspace<A>& workspace) {
     const Terms& terms = field.terms;
-    const bool whole = terms.size == 1 && terms.kind[0] == LINEAR;
-    if (!whole || terms.row[1] < field.size)
+    const bool linear = terms.size >= 1 && terms.kind[0] == LINEAR && (terms.size == 1 || field.partials == 0);
+    if (!linear || terms.row[1] < field.size)
         for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
-    if (__builtin_expect(whole, 1)) {
+    if (__builtin_expect(linear, 1)) {
         share(terms.row[1], [&](int64_t first, int64_t above) __attribute__((always_inline)) {
             const uint32_t *target = terms.target, *high = terms.entry + 1, *column = terms.column;
             const double *offset = terms.offset, *weight = terms.weight;
@@ -46,17 +56,20 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
                 u[target[row]] = total;
             }
         });
-        return;
+        if (__builtin_expect(terms.size == 1, 1)) return;
     }
     std::fill_n(workspace.partial.at, field.partials, A(0.0));
-    for (int64_t k = 0, added = 0; k < terms.size; ++k) {
-        const int64_t first = terms.row[k];
-        gradient_rows(terms, constants, field.addresses, k, x, t, workspace.rows.at, first, workspace.arguments.at,
-                      workspace.calls.data());
-        for (int64_t row = first, stop = terms.row[k + 1]; row < stop; ++row)
-            u[terms.target[row]] += workspace.rows.at[row - first];
-        for (; added < field.partial_rows && field.partial_row[added] < terms.row[k + 1]; ++added)
-            workspace.partial.at[field.partial[added]] += workspace.rows.at[field.partial_row[added] - first];
+    for (int64_t k = linear, added = 0, held = 0; k < terms.size; ++k) {
+        const int64_t first = terms.row[k], stop = terms.row[k + 1];
+        const bool holds = __builtin_expect(workspace.holds, 0) && norm_of_term(field, constants, k) > 0.0;
+        A* const rows = holds ? workspace.held.at + held : workspace.rows.at;
+        if (holds) held += stop - first;
+        if (!holds || !workspace.reused)
+            gradient_rows(terms, constants, field.addresses, k, x, t, rows, first, workspace.arguments.at,
+                          workspace.calls.data());
+        for (int64_t row = first; row < stop; ++row) u[terms.target[row]] += rows[row - first];
+        for (; added < field.partial_rows && field.partial_row[added] < stop; ++added)
+            workspace.partial.at[field.partial[added]] += rows[field.partial_row[added] - first];
     }
 }
 

@@ -42,15 +42,28 @@ struct CompiledFunction {
     void operator()(const double* y, double t, double* out) const { code(y, t, out, constants); }
 };
 
+// The beginning of a table that is read by `code`. A linear function of y has a bound of its norm, others have 0.
+struct TableFunction {
+    void (*code)(const TableFunction& table, const double* y, double* out);
+    double norm;
+};
+
+// The table at an address, if there is a `TableFunction`.
+inline const TableFunction* table_function(int64_t address) {
+    return address < 0 && (-address & 3) == 3 ? reinterpret_cast<const TableFunction*>(-address - 3) : nullptr;
+}
+
 // The sum of all shares in their order; the threads of a team compute them side by side.
 ONCE void add_shares(const SharedFunction& function, const double* y, double* out);
 
-// Call the function at an address: one in Python, or, for a negative address, by its last bits a table: of
-// `CompiledFunction`, of `SharedFunction`, or of `Forms`.
+// Call the function at an address: one in Python, or, for a negative address, by its last bits a table: a
+// `TableFunction`, or one of `CompiledFunction`, of `SharedFunction`, or of `Forms`.
 inline void call(int64_t address, const double* y, double t, double* out) {
     const int64_t kind = -address & 3;
     if (address >= 0)
         reinterpret_cast<PythonFunction>(address)(y, t, out);
+    else if (kind == 3)
+        table_function(address)->code(*table_function(address), y, out);
     else if (kind == 2)
         (*reinterpret_cast<const CompiledFunction*>(-address - 2))(y, t, out);
     else if (kind == 1)

@@ -123,8 +123,11 @@ class Fourier {
 
     // Transform the numbers at x, and return the address of the result: x, or memory of this object. The contents of x
     // are lost.
-    NOINLINE ComplexNumber<A>* transform(ComplexNumber<A>* x) {
-        ComplexNumber<A>*from = x, *to = x == first.at ? second.at : first.at;
+    ComplexNumber<A>* transform(ComplexNumber<A>* x) { return transform(x, x == first.at ? second.at : first.at); }
+
+    // The same with other memory in place of that of this object.
+    NOINLINE ComplexNumber<A>* transform(ComplexNumber<A>* x, ComplexNumber<A>* spare) {
+        ComplexNumber<A>*from = x, *to = spare;
         int64_t stride = 1, convolution = 0;
         for (int64_t p : factors) {
             if (p == 4) pass_of_four(from, to, stride);

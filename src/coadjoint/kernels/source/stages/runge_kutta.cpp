@@ -20,9 +20,10 @@ static void advance(const RungeKuttaLoop& loop, const MemberRange& range) {
     // Lanes share one step length.
     const bool narrow = fits(tables) && !iterated && !side_by_side && !loop.schedule.lengths;
     int64_t position = first;
-    for (; position < last && stride && loop.schedule.lengths; ++position) {
-        if (loop.arrays.status[members[position]] != DONE) continue;
+    for (; position < last && stride; ++position) {
         const MemberConstants constants{stride, position};
+        if (!loop.schedule.lengths && !reuses_functions(tables.field, constants)) break;
+        if (loop.arrays.status[members[position]] != DONE) continue;
         advance_alone<double>(loop, *single_of(tables, constants), members[position], constants);
     }
     for (; position < last && (stride || (narrow && last - position >= MIN_LANES)); position += MEMBER_LANES) {

@@ -4,6 +4,7 @@
 #include "boundary/codes.hpp"
 #include "numbers/linear_solve.hpp"
 #include "stages/brackets.hpp"
+#include "stages/lagged_functions.hpp"
 
 namespace coadjoint {
 
@@ -31,6 +32,7 @@ struct Stages {
     AlignedArray<A> gradients, settled_gradients, frozen, times, lengths, matrices;
     AlignedArray<V> system, pivots, right, untested;
     FieldWorkspace<A> workspace;
+    LaggedFunctions<Layout> lagged;
     V iterations{0.0}, residual{0.0};
 
     Stages(const RungeKuttaTables& tables, const C& constants)
@@ -41,7 +43,8 @@ struct Stages {
           gradients(blocks * n), settled_gradients(alone ? 0 : blocks * n),
           frozen(tables.solver >= STRUCTURE ? blocks * n : 0), times(blocks), lengths(blocks),
           matrices(tables.direct ? blocks * widest() * widest() : 0), system(edge() * edge()), pivots(edge()),
-          right(edge() * std::max<int64_t>(d, 1)), untested(tables.substeps), workspace(field) {
+          right(edge() * std::max<int64_t>(d, 1)), untested(tables.substeps), workspace(field),
+          lagged(field, constants, blocks, workspace) {
         p.work += s * work_of(field);
         g.work += s * d * group.entries;
         Layout::lay_out(tables.mix, s, s, mix.at);
@@ -127,6 +130,8 @@ struct Stages {
                 case KnownAlgebra::SO4_FULL: return settle_bracket<So4, true>(trust, next);
                 case KnownAlgebra::NONE: break;
             }
+        if constexpr (alone)
+            if (lagged.exist()) return settle_lagged(trust, next);
         // Up to eight lanes hold all stages, see `single_of`.
         return settle_blocks<Layout::side_by_side && lanes <= 8>(active, trust, next);
     }
@@ -143,6 +148,26 @@ struct Stages {
                                        [&](const Mask& over, bool last) { store_gradients(over, last); });
         *next = select(outcome.settled, outcome.untested, *next);
         return taken(outcome);
+    }
+
+    NOINLINE Mask settle_lagged(V trust, V* next) {
+        double squares = 0.0;
+        for (int64_t k = 0; k < s * s; ++k) squares = fma(tables.mix[k], tables.mix[k], squares);
+        lagged.begin(field, constants, p.base, square_root(squares) * Layout::largest(absolute(lengths.at[0])));
+        Mask found;
+        do {
+            auto iterate = [&](auto watched) {
+                lagged.decide(p.points.at);
+                evaluate(0, 1);
+                p.template update_points<decltype(watched)::value>(0, 1, s);
+            };
+            const auto outcome = settle_by(p, true, 1, n, trust, iterate, [](const Mask&, bool) {});
+            *next = select(outcome.settled, outcome.untested, *next);
+            found = taken(outcome);
+            trust = 0.0;
+        } while (found && lagged.must_evaluate());
+        lagged.end();
+        return found;
     }
 
     template <class Bracket, bool full>
