@@ -127,7 +127,7 @@ struct Forced final : StepScheme {
 
     bool evaluate(const double* x, double t) {
         if (measured) return true;
-        if (matrices) return matrices->of(x, t, values.data());
+        if (matrices) return matrices->begin(x, t);
         for (int64_t i = 0; i < tracked; ++i) values[i] = value(i, x, t);
         return true;
     }
@@ -145,10 +145,16 @@ struct Forced final : StepScheme {
             if (force.table.work_integrals) add(x, dx, force.table.work_integral, force.change());
             return DONE;
         }
+        const int64_t changing = std::min(tracked, force.table.work_integrals);
+        if (matrices) {
+            if (!matrices->change(x, frozen, values.data())) return UNDEFINED;
+            for (int64_t i = 0; i < changing; ++i) add(x, dx, force.table.work_integral + i, values[i]);
+            return DONE;
+        }
         before.swap(values);
         if (!evaluate(x, frozen)) return UNDEFINED;
-        for (int64_t i = 0; i < std::min(tracked, force.table.work_integrals); ++i) {
-            const double period = matrices ? 0.0 : constants.number_at<double>(tables.restored.period, i);
+        for (int64_t i = 0; i < changing; ++i) {
+            const double period = constants.number_at<double>(tables.restored.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
             // An invariant without a value here, such as log|x| at zero, has no change either; its balance is NaN.
             const double change = now - before[i];

@@ -13,10 +13,11 @@ namespace {
 
 constexpr int64_t HISTORY = 3;  // midpoints of earlier steps, from which the next one is extrapolated
 
+// One stage, of matrices that are not skew-Hermitian.
 template <class T>
 struct Midpoint final : Isospectral<T> {
     typedef Isospectral<T> Base;
-    using Base::all, Base::numbers, Base::products, Base::stream, Base::skew;
+    using Base::all, Base::numbers, Base::products, Base::stream;
     std::vector<T> M, P, A, B, move;
 
     explicit Midpoint(const StepTables& tables) : Base(tables), M(all), P(all), A(all), B(all), move(all) {
@@ -56,8 +57,7 @@ struct Midpoint final : Isospectral<T> {
         for (;;) {
             if (!stream.apply(M.data(), t + half, P.data())) return UNDEFINED;
             products.multiply(P.data(), M.data(), A.data());
-            if (skew) products.multiply_skew(A.data(), P.data(), B.data());
-            else products.multiply(A.data(), P.data(), B.data());
+            products.multiply(A.data(), P.data(), B.data());
             this->commutator(P.data(), M.data(), A.data(), h, move.data(), false);
             double *middle = numbers_of(M.data()), *moved = numbers_of(move.data()), *rotated = numbers_of(B.data());
             this->residual = largest_of(numbers, [=](int64_t k) {
@@ -152,7 +152,7 @@ struct Stages final : Isospectral<T> {
 template <class T>
 StepScheme* made(const StepTables& tables) {
     if (tables.whole[STAGES] > 1) return new Stages<T>(tables);
-    if (tables.whole[GENERAL] || tables.whole[1] > 1) return new Midpoint<T>(tables);
+    if (tables.whole[GENERAL]) return new Midpoint<T>(tables);
     return new SkewMidpoint<T>(tables);
 }
 

@@ -44,7 +44,8 @@ class IsospectralGauss(SubstepMethod):
     solved for P by Newton's method: ``M = (1 - h P/2)^-1 W (1 + h P/2)^-1`` has the spectrum of W for every P, and
     small changes of P are computed in single precision. The initial P is predicted from up to fifteen earlier steps, so
     that a step of a smooth flow takes about five products of matrices (2.6, and four or five in single precision), each
-    complex one as three of real matrices.
+    complex one as three of real matrices. Flows of two fields and of layers take the same steps, with three products
+    for each of a flow with two fields, two for a dye, and one for each layer.
 
     Parameters
     ----------
@@ -112,16 +113,18 @@ class IsospectralGauss(SubstepMethod):
         n, skew, layers = matrices.algebra.N, matrices.algebra.skew, len(matrices.matrix_shape) == 3
         # Two layers that are not independent are X0 + eps X1, whose product takes three.
         factor = (matrices.matrix_shape[0] if matrices.independent_layers else 3) if layers else 1
-        if self.stages == 1 and skew and not layers:
+        if self.stages == 1 and skew:
             # A prediction and each midpoint are an evaluation; the others are slopes, of two products, as are changes
-            # of the midpoint at the ends of steps, which follow slopes.
+            # of the midpoint at the ends of steps, which follow slopes. A field that is carried takes no inverse.
+            carries = factor == 3 and not matrices.independent_layers and matrices.second_stream is None
+            lower = _lower_part(n, 1 if n < 32 else 4 if n < 256 else 8)
+            inverse, slope, rest = (1, 1, 2) if carries else (factor, factor, factor)
             slopes = evaluations - steps - iterations
-            return iterations * (2.0 + _lower_part(n, 1 if n < 32 else 4 if n < 256 else 8)), 2.0 * (
-                slopes + min(slopes, steps)
-            )
+            whole = iterations * (inverse + rest * (1.0 + lower))
+            return whole, float(2 * slope * slopes + (slope + rest) * min(slopes, steps))
         half = _lower_part(n, 1 if n < 32 else 4)
         if self.stages == 1:
-            return factor * iterations * (1.0 + half if skew else 3.0), 0.0
+            return factor * iterations * 3.0, 0.0
         of_iterations = iterations * (2.0 + half if skew else 4.0)
         return factor * self.stages * (of_iterations + steps * (1.0 if skew else 2.0)), 0.0
 

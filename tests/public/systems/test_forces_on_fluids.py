@@ -1,5 +1,7 @@
 """Forces on fluids of matrices: rates mode by mode, closed forms, energy and enstrophy, noise, refusals."""
 
+import warnings
+
 import numpy as np
 import pytest
 from fluids_by_modes import FINE, last, random_matrix
@@ -317,3 +319,33 @@ def test_a_carried_field_of_degree_one_decays():
     forced = system.with_forces(co.forces.Viscosity(0.1, layer="carried"))
     run = co.integrate(forced, np.stack([field, 0 * field]), (0, 1), 0.125, co.IsospectralGauss())
     np.testing.assert_allclose(run.x[-1, 0], np.exp(-0.2) * field, rtol=0, atol=1e-12)
+
+
+FLOWS = {
+    "sphere_euler": lambda rotation: co.systems.sphere_euler(N=12, rotation=rotation),
+    "sphere_qg": lambda rotation: co.systems.sphere_qg(N=12, lamb=20.0, rotation=rotation),
+    "passive_scalar": lambda rotation: co.systems.passive_scalar(N=12, rotation=rotation),
+    "layered_qg": lambda rotation: co.systems.layered_qg(
+        N=12, gamma=((3.0, -3.0), (-3.0, 3.0)), thicknesses=(1.0, 1.0), rotation=rotation
+    ),
+}
+
+
+@pytest.mark.parametrize("amplitude", [1e-6, 1.0, 1e3])
+@pytest.mark.parametrize("rotation", [0.0, 10.0])
+@pytest.mark.parametrize("name", FLOWS)
+def test_the_work_of_friction_is_that_on_the_flow_however_fast_the_planet_turns(name, rotation, amplitude):
+    """All of the relative vorticity decays at one rate, so that the energy of the flow decays at twice that rate."""
+    system, rate = FLOWS[name](rotation), 0.25
+    modes = {(3, 2): 0.5 * amplitude, (4, 1): 0.3 * amplitude, (5, 3): -0.4 * amplitude}
+    if len(system.shape) == 3:
+        relative = system.fluid.relative(system.fluid.from_modes(modes, absolute=False))
+        x0 = system.absolute([relative, 0.5 * relative] if system.independent_layers else [relative, relative])
+    else:
+        x0 = system.from_modes(modes, absolute=False)
+    h = 0.02 / max(1.0, amplitude)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = co.integrate(system.with_forces(co.forces.Friction(rate)), x0, (0, 40 * h), h, co.IsospectralGauss())
+    wanted = system.energy(x0) * np.expm1(-2 * rate * 40 * h)
+    assert sol.work["Friction"]["energy"][-1] == pytest.approx(wanted, rel=1e-4)

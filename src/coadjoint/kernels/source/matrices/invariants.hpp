@@ -1,6 +1,7 @@
-// The quadratic invariants of a state of matrices, at the cost of its stream: the energy, and tr W^2 of one matrix, tr
-// Theta^2 and tr W Theta of two fields, tr W^2 of each of independent layers; complex skew-Hermitian matrices count as
-// -i W.
+// Changes of the quadratic invariants of a state of matrices, at the cost of its stream: the energy, and tr W^2 of one
+// matrix, tr Theta^2 and tr W Theta of two fields, tr W^2 of each of independent layers; complex skew-Hermitian matrices
+// count as -i W. A change is a product of the change of the state with a mean, so that its rounding is relative to that
+// change: the energy of a slow flow on a planet is far below what its rotation adds to the pairing of P and W.
 #pragma once
 
 #include <memory>
@@ -15,8 +16,10 @@ struct MatrixInvariants {
     // The number of values.
     virtual int64_t count() const = 0;
     virtual int64_t work() const = 0;
-    // Compute them; return whether the stream is defined there.
-    virtual bool of(const double* x, double t, double* values) = 0;
+    // Set the state from which changes count; return whether the stream is defined there.
+    virtual bool begin(const double* x, double t) = 0;
+    // Compute the changes since the last state, and take this one in its place; return whether the stream is defined.
+    virtual bool change(const double* x, double t, double* values) = 0;
 };
 
 template <class T>
@@ -24,32 +27,39 @@ struct InvariantsOf final : MatrixInvariants {
     const int64_t n, square, layers;
     const bool general;
     const double factor, sign_of_trace;
-    const T* const constant;
     Stream<T> stream;
-    std::vector<T> Y;
+    std::vector<T> X, Y, mean, moved;
 
     InvariantsOf(const int64_t* whole, double energy_factor, const double* numbers)
         : n(whole[0]), square(n * n), layers(whole[1]), general(whole[7]), factor(energy_factor),
-          sign_of_trace(double(whole[8])),
-          constant(whole[4] ? reinterpret_cast<const T*>(numbers) : nullptr), stream(whole, numbers), Y(layers * square) {}
+          sign_of_trace(double(whole[8])), stream(whole, numbers), X(layers * square), Y(X), mean(X), moved(X) {}
 
     int64_t count() const override { return 1 + layers; }
     int64_t work() const override { return stream.work() + 8 * layers * square; }
 
-    bool of(const double* x, double t, double* values) override {
-        const T* const X = reinterpret_cast<const T*>(x);
-        if (!stream.apply(X, t, Y.data())) return false;
+    bool begin(const double* x, double t) override {
+        std::copy_n(reinterpret_cast<const T*>(x), X.size(), X.data());
+        return stream.apply(X.data(), t, Y.data());
+    }
+
+    bool change(const double* x, double t, double* values) override {
+        const T* const now = reinterpret_cast<const T*>(x);
+        if (!stream.apply(now, t, mean.data())) return false;
+        Y.swap(mean);  // of the last state
+        for (int64_t e = 0; e < layers * square; ++e) mean[e] = 0.5 * (mean[e] + Y[e]), moved[e] = now[e] - X[e];
         double energy = 0.0;
         for (int64_t l = 0; l < layers; ++l) {
-            // the stream is H's derivative by the other layer, and half of it gives H up to its constant part
+            // The stream is H's derivative by the other layer.
             const int64_t other = stream.direct ? l : layers - 1 - l;
-            const T *const of = X + other * square, *const y = Y.data() + l * square;
-            energy += 0.5 * stream.weight(l) * pairing(y, of);
-            if (constant) energy += 0.5 * stream.weight(l) * pairing(constant + l * square, of);
+            energy += stream.weight(l) * pairing(mean.data() + l * square, moved.data() + other * square);
         }
         values[0] = factor * energy;
-        for (int64_t l = 0; l < layers; ++l)
-            values[1 + l] = sign_of_trace * trace(stream.direct ? X + l * square : X, X + l * square);
+        for (int64_t e = 0; e < layers * square; ++e) mean[e] = 0.5 * (X[e] + now[e]), X[e] = now[e];
+        for (int64_t l = 0; l < layers; ++l) {
+            const int64_t other = stream.direct ? l * square : 0;
+            values[1 + l] = sign_of_trace * (trace(mean.data() + other, moved.data() + l * square) +
+                                             trace(moved.data() + other, mean.data() + l * square));
+        }
         return true;
     }
 

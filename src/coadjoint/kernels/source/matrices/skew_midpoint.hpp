@@ -6,10 +6,13 @@
 // Y' = (h/2) B D N with N = M (1 - X) = M + V - Z*. The linear equation for D needs few digits, and is solved in the
 // lower precision. P is predicted from earlier steps, so that mostly one Newton step of one product by its slope is
 // left: 2 5/8 products in the precision of the states, one of them the inverse, and four in the lower one.
+//
+// All this holds for X0 + eps X1 with eps^2 = 0, and for independent layers: a matrix then has planes for each of them.
 #pragma once
 
 #include "matrices/cayley.hpp"
 #include "matrices/isospectral.hpp"
+#include "matrices/tiles.hpp"
 
 namespace coadjoint {
 
@@ -24,275 +27,379 @@ struct Lower<Complex> {
     typedef std::complex<float> type;
 };
 
-inline float rounded(double value) { return float(value); }
-inline std::complex<float> rounded(const Complex& value) { return {float(value.real()), float(value.imag())}; }
-inline double exact(float value) { return value; }
-inline Complex exact(const std::complex<float>& value) { return {value.real(), value.imag()}; }
-
 template <class T>
 struct SkewMidpoint final : Isospectral<T> {
     typedef Isospectral<T> Base;
     typedef typename Lower<T>::type LowPrecision;
-    using Base::n, Base::all, Base::numbers, Base::stream;
+    using Base::n, Base::square, Base::all, Base::stream;
 
     static constexpr int64_t PARTS = sizeof(T) / sizeof(double);
     static constexpr int64_t HISTORY = 14;            // rows of earlier steps from which P is predicted
     static constexpr int64_t SAMPLES = 256, RUN = 8;  // numbers of a row to which a prediction is fitted, in short runs
+    static constexpr double NOISE = 0x1p-40;  // of the last row: what earlier ones add below it is round-off
     static constexpr int64_t MOST_CORRECTIONS = 24;
     static constexpr double LOW_ACCURACY = 0x1p-21;  // accuracy of a correction in the lower precision
     static constexpr double LAST_DIGIT = 0x1p-52;
     static constexpr double NEAR = 0x1p-28;  // of P: within it, one correction reaches round-off
     static constexpr double GROWN = 2.0;  // K shrinks a residual by up to this factor less than the one before
 
-    const int64_t half;  // real numbers on and above the diagonal; packed matrices have these only, row by row
+    // Directions kept orthogonal; more cost memory, and fewer cost iterations.
+    static constexpr int64_t DIRECTIONS = 4;
+    enum Matrix { STATE, INVERSE, FIRST, SECOND, MATRICES };
+    enum LowMatrix { LOW_INVERSE, LOW_MIDPOINT, LOW_END, CHANGE, TURNED, SLOPE, LOW_MATRICES };
+
+    // Packed matrices have the `half` real numbers on and above the diagonal only, row by row, of each layer.
+    const int64_t layers, moving, half;  // of a state, and those of P that are not zero
     const PlaneProducts<T> products;
     const PlaneProducts<LowPrecision> low;
     Cayley<T> cayley;
     PlanesOf<T> planes;
     PlanesOf<LowPrecision> low_planes;
-    const Planes<T> W_planes, C, Z, V;
-    const Planes<LowPrecision> B, low_M, low_N, changed, U, Y;
-    std::vector<T> M, G, image;
-    std::vector<T> P, F, D, R, base, residuals;  // packed
+    std::vector<T> G, image;
+    std::vector<double> M, base, P, F, D, R, residuals;  // packed
+    std::vector<double> weight;  // of a layer of P, by which residuals are compared
 
-    // Directions kept orthogonal; more cost memory, and fewer cost iterations.
-    static constexpr int64_t DIRECTIONS = 4;
     struct Direction {
-        std::vector<LowPrecision> p, q;
+        std::vector<float> p, q;
         double square, share, overlap[DIRECTIONS];
     };
     Direction directions[DIRECTIONS];
 
     explicit SkewMidpoint(const StepTables& tables)
-        : Base(tables), half(numbers / n * (n + 1) / 2), products(tables.whole[REAL_GEMM], n),
-          low(tables.whole[LOWER_GEMM], n), cayley(tables.whole[REAL_GEMM], n), planes(all, 4), low_planes(all, 6),
-          W_planes(planes.layer(0)), C(planes.layer(1)), Z(planes.layer(2)), V(planes.layer(3)),
-          B(low_planes.layer(0)), low_M(low_planes.layer(1)), low_N(low_planes.layer(2)),
-          changed(low_planes.layer(3)), U(low_planes.layer(4)), Y(low_planes.layer(5)), M(all), G(all), image(all),
-          P(entries()), F(entries()), D(entries()), R(entries()), base(entries()), residuals(entries()) {
-        for (Direction& each : directions) each.p.resize(entries()), each.q.resize(entries());
-        this->memory_size = 3 + (2 + HISTORY) * half;
+        : Base(tables), layers(tables.whole[1]), moving(stream.carries() ? 1 : layers), half(PARTS * n * (n + 1) / 2),
+          products(tables.whole[REAL_GEMM], n), low(tables.whole[LOWER_GEMM], n), cayley(tables.whole[REAL_GEMM], n),
+          planes(square, MATRICES * layers), low_planes(square, LOW_MATRICES * layers), G(all), image(all),
+          M(layers * half), base(M), P(moving * half), F(P), D(P), R(P), residuals(P), weight(moving, 1.0) {
+        for (Direction& each : directions) each.p.resize(P.size()), each.q.resize(P.size());
+        this->memory_size = 3 + M.size() + (1 + HISTORY) * P.size();
     }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         const T* W = reinterpret_cast<const T*>(x);  // dx is below its last digit
-        double *p = numbers_of(P.data()), *d = numbers_of(D.data()), *rest = numbers_of(R.data());
         if (!predict(W, t, h)) return UNDEFINED;
-        for (int64_t e = 0; e < all; ++e) W_planes.set(e, W[e]);
+        for (int64_t l = 0; l < layers; ++l) {
+            const Planes<T> to = whole(STATE, l);
+            for (int64_t e = 0; e < square; ++e) to.set(e, W[l * square + e]);
+        }
         this->iterations = 0, this->evaluations = 1;
         this->status = DONE;
         bool corrected = false;
-        const double constant = stream.largest_constant();
         while (!corrected) {
-            solve(W, h);
-            if (!evaluate(t + 0.5 * h)) return UNDEFINED;
-            const double size = std::max(largest_of(half, [=](int64_t k) { return p[k]; }), constant);
+            solve(h);
+            double size;
+            if (!evaluate(t + 0.5 * h, size)) return UNDEFINED;
             if (this->ended(this->residual, size) || this->residual <= LAST_DIGIT * size) break;
             const bool last = this->residual <= NEAR * size;
             const double enough = std::max(LOW_ACCURACY * this->residual, last ? LAST_DIGIT * size : NEAR * size / 4);
             corrected = correct(enough) && last;
-            for (int64_t k = 0; k < half; ++k) p[k] += d[k], rest[k] += d[k];
         }
         if (this->status != DONE) return this->status;
         store_history(h, corrected);
-        if (corrected) {
-            const double scale = 1.0 / this->residual;
-            multiply_change([this, scale](int64_t k) { return rounded(scale * D[k]); }, low_N);
-        }
-        increment(corrected);
-        this->advance(x, dx, G.data());
+        if (corrected) multiply_change(D.data(), [this](int64_t) { return 1.0 / this->residual; }, LOW_END, 0);
+        advance(x, dx, corrected);
         return DONE;
     }
 
   private:
-    int64_t entries() const { return n * (n + 1) / 2; }
+    Planes<T> whole(int64_t matrix, int64_t l) { return planes.layer(matrix * layers + l); }
+    Planes<LowPrecision> lower(int64_t matrix, int64_t l) { return low_planes.layer(matrix * layers + l); }
+    Planes<T> matrix_of(const PlaneProducts<T>&, int64_t matrix, int64_t l) { return whole(matrix, l); }
+    Planes<LowPrecision> matrix_of(const PlaneProducts<LowPrecision>&, int64_t matrix, int64_t l) {
+        return lower(matrix, l);
+    }
 
-    // Call use(first, at, count) for each row: the index of its diagonal entry, that when packed, and their number.
+    // Call use(i, j, l, add) for the products of layers i and j of two factors that make the layers of a product, from
+    // `from` on; layers that factors do not have are zero.
     template <class Use>
-    void each_row(const Use& use) const {
-        for (int64_t i = 0, at = 0; i < n; at += n - i, ++i) use(i * (n + 1), at, n - i);
-    }
-
-    // G := the matrix with the packed entries value(k), only on and above the diagonal if a stream reads no others.
-    template <class Value>
-    void unpack_for_stream(const Value& value) {
-        T* const to = G.data();
-        each_row([&](int64_t first, int64_t at, int64_t count) {
-            for (int64_t j = 0; j < count; ++j) to[first + j] = value(first + j, at + j);
-        });
-        if (stream.upper_suffices()) return;
-        each_pair(n, [=](int64_t e, int64_t f) {
-            if (e != f) to[e] = -conjugate(to[f]);
-        });
-    }
-
-    // F := stream(M) - P, and the residual its largest number. Of a linear stream that is stream(M - base) - R, whose
-    // rounding errors are relative to these small numbers.
-    bool evaluate(double t) {
-        const T *m = M.data(), *b = base.data();
-        if (stream.linear()) {
-            unpack_for_stream([=](int64_t e, int64_t k) { return m[e] - b[k]; });
-            stream.apply_linear(G.data(), image.data(), true);
-        } else if (!stream.apply(m, t, image.data(), true)) {
-            return false;
+    void each_product(int64_t in_first, int64_t in_second, int64_t from, const Use& use) const {
+        for (int64_t l = from; l < std::max(in_first, in_second); ++l) {
+            const bool same = stream.direct || l == 0;
+            if (same || in_second > l) use(same ? l : 0, l, l, false);
+            if (!same && in_first > l) use(l, 0, l, in_second > l);
         }
-        ++this->evaluations;
-        const double *g = numbers_of(image.data()), *less = numbers_of(stream.linear() ? R.data() : P.data());
-        double* f = numbers_of(F.data());
-        this->residual = 0.0;
-        each_row([&](int64_t first, int64_t at, int64_t count) {
-            const double* const from = g + PARTS * first;
-            const double most = largest_of(PARTS * count, [=](int64_t k) {
-                return f[PARTS * at + k] = from[k] - less[PARTS * at + k];
-            });
-            if (!(most <= this->residual)) this->residual = most;  // NaN stays
+    }
+
+    template <class In>
+    void multiply(const In& products, int64_t a, int64_t b, int64_t c, int64_t in_a, int64_t in_b, int64_t from = 0) {
+        each_product(in_a, in_b, from, [&](int64_t i, int64_t j, int64_t l, bool add) {
+            products.multiply(matrix_of(products, a, i), matrix_of(products, b, j), matrix_of(products, c, l), add);
         });
+    }
+
+    // Call use(first, at, count) for each row: the index in G of its diagonal entry's first number, that of a packed
+    // matrix, and the count of its numbers.
+    template <class Use>
+    void each_row(int64_t in_layers, const Use& use) const {
+        for (int64_t l = 0; l < in_layers; ++l)
+            for (int64_t i = 0, at = l * half; i < n; at += PARTS * (n - i), ++i)
+                use(PARTS * (l * square + i * (n + 1)), at, PARTS * (n - i));
+    }
+
+    // The largest |value(row number k of image, k packed)| of a layer; NaN if one of them is not finite.
+    template <class Value>
+    double largest_of_rows(int64_t l, const Value& value) const {
+        const double* const from = reinterpret_cast<const double*>(image.data()) + PARTS * l * square;
+        double most = 0.0;
+        for (int64_t i = 0, at = l * half; i < n; at += PARTS * (n - i), ++i) {
+            const double* const row = from + PARTS * i * (n + 1);
+            const double largest = largest_of(PARTS * (n - i), [=](int64_t k) { return value(row[k], at + k); });
+            if (!(largest <= most)) most = most - most == 0.0 ? largest : most;
+        }
+        return most;
+    }
+
+    // Store a tile on or above the diagonal of G, and the opposite one if a stream reads it.
+    void store_for_stream(const TileRange& range, const Tile<T>& from, T* to) const {
+        store(range, from, to);
+        if (!range.diagonal() && !stream.upper_suffices()) store(range.opposite(), from.opposite(), to);
+    }
+
+    // F := stream(M) - P, the residual, its largest number, and the size of P. Of a linear stream F is stream(M - base)
+    // - R, whose rounding errors are relative to these small numbers. Layers are compared in units of the first P.
+    bool evaluate(double t, double& size) {
+        if (stream.linear()) stream.apply_linear(G.data(), image.data(), true);
+        else if (!stream.apply(G.data(), t, image.data(), true)) return false;
+        ++this->evaluations;
+        const double *less = stream.linear() ? R.data() : P.data(), *p = P.data();
+        double* f = F.data();
+        std::vector<double> residual(moving), sizes(moving);
+        double largest = 0.0;
+        for (int64_t l = 0; l < moving; ++l) {
+            residual[l] = largest_of_rows(l, [=](double from, int64_t k) { return f[k] = from - less[k]; });
+            sizes[l] = largest_of(half, [=](int64_t k) { return p[l * half + k]; });
+            sizes[l] = std::max(sizes[l], stream.largest_constant(l));
+            largest = std::max(largest, std::max(sizes[l], residual[l]));
+        }
+        this->residual = size = 0.0;
+        for (int64_t l = 0; l < moving; ++l) {
+            const double own = std::max(sizes[l], residual[l]);
+            if (this->iterations == 0) weight[l] = own > 0.0 ? largest / own : 1.0;
+            const double found = weight[l] * residual[l];
+            if (!(found <= this->residual) && this->residual - this->residual == 0.0) this->residual = found;
+            size = std::max(size, weight[l] * sizes[l]);
+        }
         return true;
     }
 
-    // Set `to` to the skew-Hermitian matrix with the packed entries value(k).
-    template <class R, class Value>
-    void unpack(const Planes<R>& to, const Value& value) const {
-        each_row([&](int64_t first, int64_t at, int64_t count) {
-            for (int64_t j = 0; j < count; ++j) to.set(first + j, value(at + j));
-        });
-        each_pair(n, [=](int64_t e, int64_t f) {
-            if (e != f) to.set(e, -conjugate(to.at(f)));
-        });
+    // Of the skew-Hermitian V = Z C*, whose entries on and below the diagonal are computed, the tile above and that
+    // below it.
+    static void load_both(const TileRange& range, const Planes<T>& V, Tile<T>& above, Tile<T>& below) {
+        load_product(range.opposite(), V, below, true);
+        above = below.opposite();
+        if (range.diagonal()) above.mirror(), below = above;
     }
 
-    // Compute the midpoint M for P, and (h/2) M and (h/2) N, N = M (1 - X) = M + V - Z*, in the lower precision.
-    void solve(const T* W, double h) {
-        const T* p = P.data();
-        const Planes<T> C = this->C, Z = this->Z, V = this->V;
-        unpack(C, [=](int64_t k) { return 0.5 * h * p[k]; });
-        cayley.transform(C);
-        products.multiply(C, W_planes, Z);
-        for (int64_t e = 0; e < all; ++e) Z.set_with_difference(e, Z.product(e));
-        products.lower(Z, C, V, true);
-        const Planes<LowPrecision> low_M = this->low_M, low_N = this->low_N;
+    // Compute C, Z and V for P, the midpoint M, and (h/2) M and (h/2) N, N = M (1 - X) = M + V - Z*, in the lower
+    // precision; G := what a stream reads.
+    void solve(double h) {
+        for (int64_t l = 0; l < moving; ++l) {
+            unpack<T>(n, P.data() + l * half, 0.5 * h, whole(INVERSE, l));
+            if (l == 0 || stream.direct) cayley.transform(whole(INVERSE, l));
+        }
+        if (moving > 1 && !stream.direct) invert_second();
+        multiply(products, INVERSE, STATE, FIRST, moving, layers);
+        for (int64_t l = 0; l < layers; ++l) combine_products(square, whole(FIRST, l), true);
+        each_product(layers, moving, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
+            products.lower(whole(FIRST, i), whole(INVERSE, j), whole(SECOND, l), true, add);
+        });
         const double half_step = 0.5 * h;
-        const bool whole = !stream.upper_suffices();
-        T* m = M.data();
-        each_pair(n, [=](int64_t e, int64_t f) {
-            const T z = Z.at(e), opposite = Z.at(f), v = V.product_by_adjoint(e);
-            const T entry = W[e] + (v + (z - conjugate(opposite))), low_entry = half_step * entry;
-            low_N.set(f, rounded(-half_step * conjugate(entry + (v + z))));
-            low_N.set(e, rounded(half_step * (entry + (v - conjugate(opposite)))));
-            low_M.set(f, rounded(-conjugate(low_entry)));
-            low_M.set(e, rounded(low_entry));
-            if (whole) m[e] = entry;
-            m[f] = e == f ? 0.5 * (entry - conjugate(entry)) : -conjugate(entry);
-        });
+        const bool linear = stream.linear();
+        for (int64_t l = 0; l < layers; ++l) {
+            const Planes<T> state = whole(STATE, l), Z = whole(FIRST, l), V = whole(SECOND, l);
+            const Planes<LowPrecision> midpoint = lower(LOW_MIDPOINT, l), end = lower(LOW_END, l);
+            each_tile(n, [=](const TileRange& range) {
+                const TileRange other = range.opposite();
+                Tile<T> own, v, v_below, z, z_below, m, turned;
+                load(range, state, own), load(range, Z, z), load(other, Z, z_below);
+                load_both(range, V, v, v_below);
+                const Tile<T> z_opposite = z_below.opposite();
+                m.set([&](int p, int i) {
+                    return own.row[p][i] + (v.row[p][i] + (z.row[p][i] + z_opposite.row[p][i]));
+                });
+                if (range.diagonal()) m.mirror();
+                turned.set([&](int p, int i) { return m.row[p][i] + (v.row[p][i] + z_opposite.row[p][i]); });
+                store(range, m, half_step, midpoint), store(range, turned, half_step, end);
+                store_packed(range, m, M.data() + l * half);
+                if (!range.diagonal()) {
+                    const Tile<T> m_below = m.opposite(), opposite = z.opposite();
+                    turned.set([&](int p, int i) {
+                        return m_below.row[p][i] + (v_below.row[p][i] + opposite.row[p][i]);
+                    });
+                    store(other, m_below, half_step, midpoint), store(other, turned, half_step, end);
+                }
+                if (linear) {
+                    load_packed(range, base.data() + l * half, own);
+                    m.set([&](int p, int i) { return m.row[p][i] - own.row[p][i]; });
+                }
+                store_for_stream(range, m, G.data() + l * square);
+            });
+        }
     }
 
-    // Y := B D A for the D of these packed entries.
-    template <class Value>
-    void multiply_change(const Value& value, const Planes<LowPrecision>& A) {
-        const Planes<LowPrecision> U = this->U;
-        unpack(changed, value);
-        low.multiply(B, changed, U);
-        for (int64_t e = 0; e < all; ++e) U.set(e, U.product(e));
-        low.multiply(U, A, Y);
+    // The second layer of C for X0 + eps X1: B0 X1 B0.
+    void invert_second() {
+        const Planes<T> C = whole(INVERSE, 0), X = whole(INVERSE, 1), left = whole(FIRST, 0), both = whole(SECOND, 0);
+        products.multiply(C, X, both);
+        for (int64_t e = 0; e < square; ++e) left.set(e, X.at(e) + both.product(e));
+        products.multiply(left, C, both);
+        for (int64_t e = 0; e < square; ++e) X.set(e, left.at(e) + both.product(e));
     }
 
-    // image := K D, on and above the diagonal, for the D of these packed entries.
-    template <class Value>
-    void apply_slope(const Value& value) {
-        multiply_change(value, low_M);
-        const Planes<LowPrecision> Y = this->Y;
-        const bool whole = !stream.upper_suffices();
-        T* moved = G.data();
-        each_pair(n, [=](int64_t e, int64_t f) {
-            const T entry = exact(Y.product(f) - conjugate(Y.product(e)));
-            if (whole) moved[e] = -conjugate(entry);
-            moved[f] = entry;
-        });
+    // Y := B D A for the D of these packed numbers, times factor(layer); only layers of Y from a number on.
+    template <class Number, class Factor>
+    void multiply_change(const Number* packed, const Factor& factor, int64_t A, int64_t from) {
+        typedef std::conditional_t<std::is_same_v<Number, double>, T, LowPrecision> Entry;
+        for (int64_t l = 0; l < moving; ++l) unpack<Entry>(n, packed + l * half, factor(l), lower(CHANGE, l));
+        multiply(low, LOW_INVERSE, CHANGE, TURNED, moving, moving);
+        for (int64_t l = 0; l < moving; ++l) combine_products(square, lower(TURNED, l), false);
+        multiply(low, TURNED, A, SLOPE, moving, layers, from);
+    }
+
+    // image := K D, on and above the diagonal, for the D of these packed numbers, times factor(layer).
+    template <class Number, class Factor>
+    void apply_slope(const Number* packed, const Factor& factor) {
+        // A stream for which only one layer of P moves does not read the one that it carries.
+        const int64_t from = stream.carries() ? 1 : 0;
+        multiply_change(packed, factor, LOW_MIDPOINT, from);
+        for (int64_t l = from; l < layers; ++l) {
+            const Planes<LowPrecision> Y = lower(SLOPE, l);
+            each_tile(n, [=](const TileRange& range) {
+                Tile<T> moved;
+                load_sum(range, Y, 1.0, moved);
+                store_for_stream(range, moved, G.data() + l * square);
+            });
+        }
         stream.apply_linear(G.data(), image.data(), true);
         ++this->evaluations;
     }
 
-    // G := 2 (Z - Z*) + 4 V, and with `corrected` 2 (Y - Y*) of the last change of P.
-    void increment(bool corrected) {
-        const Planes<T> Z = this->Z, V = this->V;
-        const Planes<LowPrecision> Y = this->Y;
-        T* move = G.data();
-        const double twice = 2.0 * this->residual;
-        each_pair(n, [=](int64_t e, int64_t f) {
-            T entry = 4.0 * V.product_by_adjoint(e) + 2.0 * (Z.at(e) - conjugate(Z.at(f)));
-            if (corrected) entry += twice * exact(Y.product(e) - conjugate(Y.product(f)));
-            if (e == f) entry = 0.5 * (entry - conjugate(entry));
-            move[f] = -conjugate(entry);
-            move[e] = entry;
+    // Load a factor times Y - Y* of products of planes.
+    static void load_sum(const TileRange& range, const Planes<LowPrecision>& Y, double factor, Tile<T>& to) {
+        Tile<LowPrecision> above, below;
+        load_product(range, Y, above), load_product(range.opposite(), Y, below);
+        below = below.opposite();
+        to.set([&](int p, int i) {
+            return factor * __builtin_convertvector(above.row[p][i] + below.row[p][i], Row<double>);
         });
     }
 
-    // Solve D - K D = F, where K D is the stream of Y - Y*, Y = (h/2) B D M, up to an error of at most `enough`; return
-    // whether that was reached. After D = F the residual is K F. Then residuals are minimized along one direction after
-    // the other, whose images under 1 - K are orthogonal to the others since the last restart (GCR). The last residual
-    // is added to D, which leaves K of it.
+    // Add 2 (Z - Z*) + 4 V to W, and with `corrected` 2 (Y - Y*) of the last change of P; with compensation.
+    void advance(double* x, double* dx, bool corrected) {
+        const double twice = 2.0 * this->residual;
+        for (int64_t l = 0; l < layers; ++l) {
+            const Planes<T> Z = whole(FIRST, l), V = whole(SECOND, l);
+            const Planes<LowPrecision> Y = lower(SLOPE, l);
+            double *const to = x + PARTS * l * square, *const rest = dx + PARTS * l * square;
+            each_tile(n, [=](const TileRange& range) {
+                Tile<T> v, below, z, move, more;
+                load(range, Z, z), load(range.opposite(), Z, below);
+                const Tile<T> opposite = below.opposite();
+                load_both(range, V, v, below);
+                move.set([&](int p, int i) {
+                    return 4.0 * v.row[p][i] + 2.0 * (z.row[p][i] + opposite.row[p][i]);
+                });
+                if (corrected) {
+                    load_sum(range, Y, twice, more);
+                    move.set([&](int p, int i) { return move.row[p][i] + more.row[p][i]; });
+                }
+                if (range.diagonal()) move.mirror();
+                add(range, move, to, rest);
+                if (!range.diagonal()) add(range.opposite(), move.opposite(), to, rest);
+            });
+        }
+    }
+
+    static void add(const TileRange& range, const Tile<T>& move, double* x, double* dx) {
+        Tile<T> to, rest;
+        range.each_row([&](int i, int64_t e, int count) {
+            to.load(i, x + PARTS * e, count), rest.load(i, dx + PARTS * e, count);
+            for (int p = 0; p < PARTS; ++p)
+                two_sum(to.row[p][i], move.row[p][i] + rest.row[p][i], to.row[p][i], rest.row[p][i]);
+            to.store(i, x + PARTS * e, count), rest.store(i, dx + PARTS * e, count);
+        });
+    }
+
+    // Solve D - K D = F, where K D is the stream of Y - Y*, Y = (h/2) B D M, up to an error of at most `enough`, and
+    // add D to P; return whether that was reached. After D = F the residual is K F. Then residuals are minimized along
+    // one direction after the other, whose images under 1 - K are orthogonal to the others since the last restart
+    // (GCR). The last residual is added to D, which leaves K of it.
     bool correct(double enough) {
-        std::copy_n(F.data(), entries(), D.data());
-        if (!stream.linear()) return false;
-        const Planes<T> C = this->C;
-        const Planes<LowPrecision> B = this->B;
-        for (int64_t e = 0; e < all; ++e) B.set(e, rounded(C.at(e)));
-        for (int64_t e = 0; e < all; e += n + 1) B.set(e, B.at(e) + LowPrecision(1));
+        double *p = P.data(), *rest = R.data(), *d = D.data(), *f = F.data(), *r = residuals.data();
+        if (!stream.linear()) {
+            for (size_t k = 0; k < P.size(); ++k) d[k] = f[k], p[k] += d[k], rest[k] += d[k];
+            return false;
+        }
+        for (int64_t l = 0; l < moving; ++l) {
+            const Planes<LowPrecision> B = lower(LOW_INVERSE, l);
+            round_planes(square, whole(INVERSE, l), B);
+            for (int64_t e = 0; e < square && (l == 0 || stream.direct); e += n + 1) B.plane[0][e] += 1.0f;
+            add_parts(square, B);
+        }
         // The lower precision has a small range: residuals are in units of the first one.
         const double unit = this->residual, scale = 1.0 / unit;
-        const T* f = F.data();
-        apply_slope([=](int64_t k) { return rounded(scale * f[k]); });
-        each_row([&](int64_t first, int64_t at, int64_t count) {
-            std::copy_n(image.data() + first, count, residuals.data() + at);
-        });
-        double *r = numbers_of(residuals.data()), *d = numbers_of(D.data());
-        double left = largest_of(half, [=](int64_t k) { return r[k]; }), shrunk = left;
+        apply_slope(f, [=](int64_t) { return scale; });
+        double left = 0.0;
+        for (int64_t l = 0; l < moving; ++l) {
+            const double factor = weight[l];
+            left = std::max(left, largest_of_rows(l, [=](double from, int64_t k) { return r[k] = factor * from; }));
+        }
+        double shrunk = left;
         int64_t used = 0;
+        bool combined = false;
+        const int64_t numbers = P.size();
         const auto reached = [&] { return left * std::min(GROWN * shrunk, 1.0) <= enough * scale; };
         for (int64_t k = 1; k < MOST_CORRECTIONS && !reached(); ++k) {
-            if (used == DIRECTIONS) combine(used, unit), used = 0;
+            if (used == DIRECTIONS) combine(used, combined), used = 0;
             Direction& now = directions[used];
-            float *p = row(now.p), *q = row(now.q);
-            for (int64_t e = 0; e < half; ++e) p[e] = float(r[e]);
-            const LowPrecision* entry = now.p.data();
-            apply_slope([=](int64_t e) { return entry[e]; });
-            each_row([&](int64_t first, int64_t at, int64_t count) {
-                for (int64_t j = 0; j < count; ++j) now.q[at + j] = rounded(image[first + j]);
-            });
-            shrunk = largest_of(half, [=](int64_t e) { return double(q[e]); }) / left;
-            for (int64_t e = 0; e < half; ++e) q[e] = p[e] - q[e];
+            float *p = now.p.data(), *q = now.q.data();
+            for (int64_t e = 0; e < numbers; ++e) p[e] = float(r[e]);
+            apply_slope(p, [this](int64_t l) { return 1.0 / weight[l]; });
+            double most = 0.0;
+            for (int64_t l = 0; l < moving; ++l) {
+                const double factor = weight[l];
+                most = std::max(most, largest_of_rows(l, [=](double from, int64_t k) {
+                                    return double(q[k] = float(factor * from));
+                                }));
+            }
+            shrunk = most / left;
+            for (int64_t e = 0; e < numbers; ++e) q[e] = p[e] - q[e];
             for (int64_t j = 0; j < used; ++j) {
                 Direction& old = directions[j];
-                const float *other = row(old.q), overlap = float(dot(q, other) / old.square);
+                const float *other = old.q.data(), overlap = float(dot(numbers, q, other) / old.square);
                 now.overlap[j] = overlap;
-                for (int64_t e = 0; e < half; ++e) q[e] -= overlap * other[e];
+                for (int64_t e = 0; e < numbers; ++e) q[e] -= overlap * other[e];
             }
-            now.square = dot(q, q);
-            now.share = dot(r, q) / now.square;
+            now.square = dot(numbers, q, q);
+            now.share = dot(numbers, r, q) / now.square;
             if (!(now.square > 0.0) || !(now.share - now.share == 0.0)) break;
             const double share = now.share;
-            left = largest_of(half, [=](int64_t e) { return r[e] -= share * q[e]; });
+            left = largest_of(numbers, [=](int64_t e) { return r[e] -= share * q[e]; });
             ++used;
         }
-        combine(used, unit);
-        for (int64_t k = 0; k < half; ++k) d[k] += unit * r[k];
+        combine(used, combined);
+        for (int64_t l = 0; l < moving; ++l) {
+            const double own = unit / weight[l];
+            for (int64_t k = l * half; k < (l + 1) * half && combined; ++k) r[k] += d[k];
+            for (int64_t k = l * half; k < (l + 1) * half; ++k) {
+                d[k] = f[k] + own * r[k];
+                p[k] += d[k], rest[k] += d[k];
+            }
+        }
         return reached();
     }
 
     // Add the sum of the directions to D: shares of the orthogonal images become those of the directions.
-    void combine(int64_t used, double unit) {
-        double* d = numbers_of(D.data());
+    void combine(int64_t used, bool& combined) {
+        double* d = D.data();
+        if (used > 0 && !combined) std::fill(D.begin(), D.end(), 0.0), combined = true;
         for (int64_t k = used - 1; k >= 0; --k) {
             Direction& now = directions[k];
             const double share = now.share;
             for (int64_t j = 0; j < k; ++j) directions[j].share -= now.overlap[j] * share;
-            const float* p = row(now.p);
-            for (int64_t e = 0; e < half; ++e) d[e] += unit * share * double(p[e]);
+            const float* p = now.p.data();
+            for (size_t e = 0; e < D.size(); ++e) d[e] += share * double(p[e]);
         }
     }
-
-    template <class A, class B>
-    double dot(const A* a, const B* b) const { return dot(half, a, b); }
 
     template <class A, class B>
     static double dot(int64_t count, const A* a, const B* b) {
@@ -307,69 +414,81 @@ struct SkewMidpoint final : Isospectral<T> {
         return sums[0];
     }
 
-    static float* row(std::vector<LowPrecision>& of) { return reinterpret_cast<float*>(of.data()); }
-
     // memory: the number of steps that it knows, their length, the row that was written last, M of the last step, K D
-    // of its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and smooth
-    // in time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a function.)
+    // of its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and
+    // smooth in time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a
+    // function.) After one step the row is stream(M) + 2 (P - stream(W before it)).
     bool known_steps(double h) const {
         return this->memory && this->memory[0] == this->memory[0] && this->memory[1] == h;
     }
+    double* slope_of_last() const { return this->memory + 3 + M.size(); }
     double* past(int64_t steps) const {
-        return this->memory + 3 + (2 + (int64_t(this->memory[2]) + steps) % HISTORY) * half;
+        return slope_of_last() + (1 + (int64_t(this->memory[2]) + steps) % HISTORY) * P.size();
     }
 
     // P := stream(base) + R; return whether the stream is defined. With the M before, base = 2 W - M. The next row is
-    // predicted by the combination that fits the last one to those before it.
+    // predicted by the combination that fits the last one to those before it; in the second step, P - stream(W) at
+    // its start is that of the first.
     bool predict(const T* W, double t, double h) {
         const bool known = known_steps(h), linear = stream.linear();
-        double *p = numbers_of(P.data()), *rest = numbers_of(R.data()), *b = numbers_of(base.data());
-        std::fill_n(rest, half, 0.0);
-        const double* last = known ? this->memory + 3 : rest;
-        // Call use(at, from, count) for the numbers of each row, in a matrix and packed.
-        const auto rows_of = [&](const T* matrix, const auto& use) {
-            const double* const from = reinterpret_cast<const double*>(matrix);
-            each_row([&](int64_t first, int64_t at, int64_t count) {
-                use(PARTS * at, from + PARTS * first, PARTS * count);
+        const bool second = known && linear && this->memory[0] == 1.0;
+        double *p = P.data(), *rest = R.data(), *b = base.data(), *g = numbers_of(G.data());
+        if (!known || !linear) std::fill(R.begin(), R.end(), 0.0);
+        const double *last = known ? this->memory + 3 : rest, *w = reinterpret_cast<const double*>(W);
+        if (linear) {
+            each_row(layers, [=](int64_t first, int64_t at, int64_t count) {
+                for (int64_t k = 0; k < count; ++k)
+                    g[first + k] = b[at + k] = known ? 2.0 * w[first + k] - last[at + k] : w[first + k];
             });
-        };
-        const double of_W = known && linear ? 2.0 : 1.0, of_M = known && linear ? 1.0 : 0.0;
-        rows_of(W, [=](int64_t at, const double* from, int64_t count) {
-            for (int64_t k = 0; k < count; ++k) b[at + k] = of_W * from[k] - of_M * last[at + k];
-        });
-        const T* const unpacked = base.data();
-        if (linear) unpack_for_stream([=](int64_t, int64_t k) { return unpacked[k]; });
-        if (!stream.apply(linear ? G.data() : W, t, image.data(), true)) return false;
-        if (known) {
-            double factor[HISTORY];
-            const int64_t taken = fit(int64_t(this->memory[0]) - 1, factor);
-            const double* slope = this->memory + 3 + half;
-            // Numbers that stay in the first cache while all samples are added.
-            constexpr int64_t BLOCK = 2048;
-            for (int64_t begin = 0; begin < half; begin += BLOCK) {
-                const int64_t end = std::min(begin + BLOCK, half);
-                for (int64_t k = begin; k < end; ++k) rest[k] -= slope[k];
-                for (int64_t j = 0; j < taken; ++j) {
-                    const double *row = past(j), share = factor[j];
-                    for (int64_t k = begin; k < end; ++k) rest[k] += share * row[k];
-                }
+            for (int64_t l = 0; l < layers && !stream.upper_suffices(); ++l) {
+                T* const to = G.data() + l * square;
+                each_pair(n, [=](int64_t e, int64_t f) {
+                    if (e != f) to[e] = -conjugate(to[f]);
+                });
             }
         }
+        if (!stream.apply(linear ? G.data() : W, t, image.data(), true)) return false;
+        const double* const from = reinterpret_cast<const double*>(image.data());
+        if (second) {
+            const double* const row = past(0);
+            each_row(moving, [=](int64_t first, int64_t at, int64_t count) {
+                for (int64_t k = 0; k < count; ++k) rest[at + k] = 0.5 * (row[at + k] - from[first + k]);
+            });
+        } else if (known) {
+            for (int64_t l = 0; l < moving; ++l) extrapolate(l, rest);
+        }
         const double of_stream = known && !linear ? 2.0 : 1.0, of_P = known && !linear ? 1.0 : 0.0;
-        rows_of(image.data(), [=](int64_t at, const double* from, int64_t count) {
+        each_row(moving, [=](int64_t first, int64_t at, int64_t count) {
             for (int64_t k = 0; k < count; ++k)
-                p[at + k] = (of_stream * from[k] - of_P * last[at + k]) + rest[at + k];
+                p[at + k] = (of_stream * from[first + k] - of_P * last[at + k]) + rest[at + k];
         });
         return true;
     }
 
-    // Least squares for samples of the rows, by orthogonalization; return the number of factors.
-    int64_t fit(int64_t rows, double* factor) const {
+    // Compute the predicted row of a layer, less K D of the last step.
+    void extrapolate(int64_t l, double* rest) const {
+        double factor[HISTORY];
+        const int64_t taken = fit(l, int64_t(this->memory[0]) - 1, factor);
+        const double* slope = slope_of_last();
+        // Numbers that stay in the first cache while all samples are added.
+        constexpr int64_t BLOCK = 2048;
+        for (int64_t begin = l * half; begin < (l + 1) * half; begin += BLOCK) {
+            const int64_t end = std::min(begin + BLOCK, (l + 1) * half);
+            for (int64_t k = begin; k < end; ++k) rest[k] = -slope[k];
+            for (int64_t j = 0; j < taken; ++j) {
+                const double *row = past(j), share = factor[j];
+                for (int64_t k = begin; k < end; ++k) rest[k] += share * row[k];
+            }
+        }
+    }
+
+    // Least squares for samples of the rows of a layer, by orthogonalization; return the number of factors.
+    int64_t fit(int64_t l, int64_t rows, double* factor) const {
         if (rows < 2) return std::fill_n(factor, rows, 1.0), rows;
         const int64_t count = std::min(half, SAMPLES), run = half < SAMPLES ? half : RUN, runs = count / run;
         double sample[HISTORY][SAMPLES], share[HISTORY][HISTORY];  // the last row in sample[0]
         for (int64_t j = 0; j < rows; ++j) {
-            const double* row = past(j);
+            const double* row = past(j) + l * half;
             for (int64_t k = 0; k < runs; ++k) std::copy_n(row + k * (half / runs), run, sample[j] + k * run);
         }
         const double* newest = sample[0];
@@ -380,7 +499,7 @@ struct SkewMidpoint final : Isospectral<T> {
             for (int64_t k = 0; k < count; ++k) sample[j][k] *= scale;
         for (int64_t j = 1; j < rows && taken < count / 2; ++j, ++taken) {
             const double square = dot(count, sample[j], sample[j]);
-            if (!(square > 0.0)) break;
+            if (!(square > NOISE * NOISE * double(count))) break;
             for (int64_t i = 0; i < rows; ++i) {
                 if (i > 0 && i <= j) continue;
                 const double part = share[j][i] = dot(count, sample[j], sample[i]) / square;
@@ -397,21 +516,19 @@ struct SkewMidpoint final : Isospectral<T> {
     void store_history(double h, bool corrected) {
         double* memory = this->memory;
         if (!memory) return;
-        const bool known = known_steps(h);
+        const bool known = known_steps(h), linear = stream.linear();
         if (!known) memory[0] = 0.0, memory[1] = h, memory[2] = 0.0;
-        const double *f = numbers_of(F.data()), *d = numbers_of(D.data()), *rest = numbers_of(R.data());
-        double* slope = memory + 3 + half;
-        if (known) {
-            memory[2] = double((int64_t(memory[2]) + HISTORY - 1) % HISTORY);
-            double* row = past(0);
-            for (int64_t k = 0; k < half; ++k) row[k] = rest[k] + slope[k] + (corrected ? 0.0 : f[k]);
-        }
-        const bool linear = stream.linear();
-        for (int64_t k = 0; k < half; ++k) slope[k] = corrected && linear ? d[k] - f[k] : 0.0;
-        T* const last = reinterpret_cast<T*>(memory + 3);
-        each_row([&](int64_t first, int64_t at, int64_t count) {
-            std::copy_n(linear ? M.data() + first : P.data() + at, count, last + at);
-        });
+        if (memory[0] > 1.0) memory[2] = double((int64_t(memory[2]) + HISTORY - 1) % HISTORY);
+        const double *f = F.data(), *d = D.data(), *rest = R.data(), *p = P.data();
+        double *slope = slope_of_last(), *row = past(0);
+        const int64_t numbers = P.size();
+        if (known)
+            for (int64_t k = 0; k < numbers; ++k) row[k] = rest[k] + slope[k] + (corrected ? 0.0 : f[k]);
+        for (int64_t k = 0; k < numbers; ++k) slope[k] = corrected && linear ? d[k] - f[k] : 0.0;
+        if (!known)
+            for (int64_t k = 0; k < numbers; ++k) row[k] = (p[k] - slope[k]) + 2.0 * rest[k];
+        if (linear) std::copy(M.begin(), M.end(), memory + 3);
+        else std::copy(P.begin(), P.end(), memory + 3);
         memory[0] = std::min(memory[0] + 1.0, double(HISTORY + 1));
     }
 };

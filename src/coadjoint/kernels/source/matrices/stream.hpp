@@ -162,6 +162,7 @@ class LayeredMap {
     }
 
     int64_t work() const { return layers * (maps[0].work() + 2 * layers * square); }
+    bool upper_suffices() const { return maps[0].upper_suffices(); }
     double weight(int64_t l) const { return weights[l]; }
 
     void apply(const T* X, T* Y, bool upper) {
@@ -234,13 +235,22 @@ class Stream {
     bool linear() const { return !function; }
 
     // Whether entries of a skew-Hermitian X below the diagonal are not read, if only those of Y above it are used.
-    bool upper_suffices() const { return !function && first_map.upper_suffices(); }
+    bool upper_suffices() const {
+        if (direct) return all_layers->upper_suffices();
+        return !function && first_map.upper_suffices() && (!second || second_map.upper_suffices());
+    }
 
-    // The largest number of the constant, whose round-off remains where it cancels, as in a state at rest.
-    double largest_constant() const {
-        const int64_t count = constant ? layers * n * n * int64_t(sizeof(T) / sizeof(double)) : 0;
+    // Whether the second layer of P is zero: the second layer of X moves the first one, which does not act on it.
+    bool carries() const {
+        return layers == 2 && !direct && !second && !of_buoyancy && !function && largest_constant(1) == 0.0;
+    }
+
+    // The largest number of a layer of the constant, whose round-off remains where it cancels, as in a state at rest.
+    double largest_constant(int64_t layer) const {
+        const int64_t count = constant ? n * n * int64_t(sizeof(T) / sizeof(double)) : 0;
         double largest = 0.0;
-        for (int64_t e = 0; e < count; ++e) largest = std::max(largest, std::abs(constant[e]));
+        for (int64_t e = layer * count; e < (layer + 1) * count; ++e)
+            largest = std::max(largest, std::abs(constant[e]));
         return largest;
     }
 
