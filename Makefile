@@ -167,7 +167,7 @@ explorer: kernels $(EXPLORER)/public/kernels.wasm explorer/node_modules/.package
 	npm --prefix explorer run --silent build
 
 $(EXPLORER)/public/kernels.wasm: $(wildcard explorer/wasm/*) $(wildcard src/coadjoint/kernels/source/*/*) \
-		src/coadjoint/methods/taylor.cpp
+		src/coadjoint/methods/taylor.cpp src/coadjoint/methods/isospectral_gauss.cpp
 	explorer/wasm/build.sh $(EXPLORER)
 
 explorer/node_modules/.package-lock.json: explorer/package-lock.json

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +29,8 @@ class Shown:
 
     `code` builds it, with the sliders as fields of a format string. `view` is how the page draws it. `parts` are parts
     of splittings that do not depend on the sliders; those that the library chooses may. If brackets depend on the
-    sliders, all are multiples of the formula `brackets`, and `energy` is M of the energy as a formula.
+    sliders, all are multiples of the formula `brackets`, and `energy` is M of the energy as a formula. A flow on a
+    sphere begins with the modes of `start`, code for the initial state, in place of `x0`.
     """
 
     name: str
@@ -45,6 +45,7 @@ class Shown:
     parts: str = ""
     brackets: str = ""
     energy: str = ""
+    start: str = ""
 
     @property
     def attitude(self) -> Any:
@@ -55,6 +56,10 @@ class Shown:
         """Return the system with these values of the sliders."""
         return eval(self.code.format(**{name: repr(float(value)) for name, value in values.items()}), {"co": co})
 
+    def initial(self, system: Any) -> Any:
+        """Return the first initial state of a system that was built."""
+        return eval(self.start, {"system": system}) if self.start else self.x0
+
 
 # Of every body within these ranges one axis is the middle one, and no moment exceeds the sum of the others.
 INERTIA = (
@@ -63,45 +68,6 @@ INERTIA = (
     Slider("I3", "inertia I₃", 2.1, 2.6, 2.5, 0.05),
 )
 SPINS = 8
-# Of each wave the amplitudes of its cosine and of its sine are coordinates.
-WAVES = ((1, 0), (0, 1), (1, 1), (1, -1))
-
-
-def zeitlin_brackets() -> list[tuple[int, int, int, int]]:
-    """Return the brackets of `coadjoint.systems.torus_euler` with N = 3 in real modes, in units that make them +-1.
-
-    {w_a, w_b} is proportional to sin(2 pi (a x b)/3) w_(a + b), with waves counted mod 3.
-    """
-
-    def numbered(x: int, y: int) -> tuple[int, int]:
-        """Return the number of a wave mod 3, and the sign of its sine."""
-        return next(
-            (number, sign)
-            for number, wave in enumerate(WAVES)
-            for sign in (1, -1)
-            if (x - sign * wave[0]) % 3 == (y - sign * wave[1]) % 3 == 0
-        )
-
-    brackets = []
-    for (i, a), (j, b) in itertools.combinations(enumerate(WAVES), 2):
-        sine = (a[0] * b[1] - a[1] * b[0] + 1) % 3 - 1
-        for other in (1, -1):
-            k, sign = numbered(a[0] + other * b[0], a[1] + other * b[1])
-            brackets += [
-                (2 * i, 2 * j, 2 * k, other * sine),
-                (2 * i, 2 * j + 1, 2 * k + 1, sign * sine),
-                (2 * i + 1, 2 * j, 2 * k + 1, other * sign * sine),
-                (2 * i + 1, 2 * j + 1, 2 * k, -sine),
-            ]
-    return sorted(brackets)
-
-
-def _wrapped(brackets: list[tuple[int, int, int, int]]) -> str:
-    """Return brackets as lines of Python."""
-    texts = [str(bracket) for bracket in brackets]
-    lines = (", ".join(texts[k : k + 6]) for k in range(0, len(texts), 6))
-    return "[\n        " + ",\n        ".join(lines) + ",\n    ]"
-
 
 SHOWN = (
     Shown(
@@ -254,24 +220,21 @@ SHOWN = (
         "[0.5, 0.5 / (kx * kx + ky * ky), 0.5 / ((1 + kx) * (1 + kx) + ky * ky)]",
     ),
     Shown(
-        "fluid_modes",
-        "Fluid: Zeitlin's model",
-        "A fluid on a torus, by eight Fourier modes: with gamma, quasi-geostrophic with a radius of deformation of "
-        "1/sqrt(gamma). It keeps the energy and two invariants of the potential vorticity, of which the map shows two "
-        "periods. The first wave is unstable on a torus that is higher than wide.",
-        f"""co.LiePoissonSystem(
-    co.LieAlgebra({_wrapped(zeitlin_brackets())}, dim=8),
-    co.Quadratic([*[0.5 / (1.0 + {{g}})] * 2, *[0.5 / ({{a}} * {{a}} + {{g}})] * 2,
-        *[0.5 / (1.0 + {{a}} * {{a}} + {{g}})] * 4]),
-)""",
+        "planet",
+        "Fluid: jets of a planet",
+        "Turbulence on a rotating planet, whose deformation radius is 1/sqrt(lamb) at the poles: jets form, and for a "
+        "large lamb those far from the equator stay weak. Left the relative vorticity, right the mean eastward speed "
+        "by latitude. It keeps all traces of powers of an N by N matrix, the potential vorticity.",
+        "co.systems.sphere_qg(N=int({N}), lamb={lamb}, rotation={rotation})",
         (
-            Slider("a", "width by height", 0.5, 1.5, 0.8, 0.05),
-            Slider("g", "deformation γ", 0.0, 1.0, 0.0, 0.05),
+            Slider("N", "size N", 16.0, 48.0, 32.0, 16.0),
+            Slider("lamb", "Lamb's parameter", 0.0, 2000.0, 500.0, 50.0),
+            Slider("rotation", "rotation", 0.0, 200.0, 100.0, 5.0),
         ),
-        (1.0, 0.0, 0.05, 0.1, 0.1, -0.05, 0.02, 0.08),
-        tuple(f"{name}{k + 1}" for k in range(len(WAVES)) for name in ("cos", "sin")),
-        {"kind": "path", "axes": [0, 2, 4], "labels": ["cos₁", "cos₂", "cos₃"], "body": "vorticity", "waves": WAVES},
-        0.75,
-        "((0, 1), (2, 3), (4, 5), (6, 7))",
+        (),
+        (),
+        {"kind": "planet"},
+        0.02,
+        start="system.random(seed=1, degrees=(4, 10), energy=1.0)",
     ),
 )

@@ -22,7 +22,7 @@ import coadjoint as co
 from coadjoint.kernels.interface import interface_text
 from coadjoint.runs.loops.loops import loops_of_system
 
-VERSION = 2
+VERSION = 3
 # Name in the page, code of the scheme, and its title.
 SCHEMES = (
     ("splitting2", "co.Splitting(order=2)", "Splitting, order 2"),
@@ -30,6 +30,10 @@ SCHEMES = (
     ("rk4", "co.ExplicitRungeKutta()", "Runge-Kutta, order 4"),
     ("gauss", "co.GaussLegendre(stages=2)", "Gauss-Legendre, order 4"),
     ("taylor", "co.Taylor()", "Taylor, order 16"),
+)
+OF_MATRICES = (
+    ("isospectral2", "co.IsospectralGauss()", "Isospectral midpoint, order 2"),
+    ("isospectral4", "co.IsospectralGauss(stages=2)", "Isospectral Gauss, order 4"),
 )
 # Fields with the brackets of the algebra.
 BRACKETS = (".state.constants", ".field.constant")
@@ -53,7 +57,9 @@ def tables_of(shown: Shown, scheme: str, values: Values, h: float) -> tuple[dict
     found = {f"tables.{path}": value for path, value in flat(loops.compiled[0].tables)}
     found |= {f"watch.{path}": value for path, value in flat(loops.watches[0].tables)}
     if "tables.step" in found and isinstance(found["tables.step"], np.ndarray):
-        found["tables.step"] = np.zeros(1, dtype=np.int64)  # an address of this process
+        found["tables.step"] = np.array(
+            [int(bool(shown.start))]
+        )  # the Taylor or the isospectral one, for an address here
     return found, loops
 
 
@@ -80,6 +86,28 @@ def code_of(scheme: str, shown: Shown) -> str:
 def first_values(shown: Shown) -> Values:
     """Return the first values of the sliders."""
     return {slider.name: slider.value for slider in shown.sliders}
+
+
+def schemes_of(shown: Shown) -> tuple[tuple[str, str, str], ...]:
+    """Return the schemes of a system."""
+    return OF_MATRICES if shown.start else SCHEMES
+
+
+def planet_entry(shown: Shown) -> dict[str, Any]:
+    """Return the modes of a flow on a sphere, and its schemes without the numbers that the page computes."""
+    system, schemes = shown.build(first_values(shown)), {}
+    for name, scheme, _ in OF_MATRICES:
+        base, loops = tables_of(shown, scheme, first_values(shown), STEPS[0])
+        # The numbers of the scheme are followed by a constant, of two numbers for each entry, and by two tables.
+        base["tables.tables.coefficients"] = base["tables.tables.coefficients"][: -4 * system.algebra.N**2]
+        base["tables.tables.whole"][6:9] = 0  # addresses here
+        base["tables.tables.field.first"] = np.zeros(1)
+        base |= {path: 0 * value for path, value in base.items() if path.startswith("watch.")}
+        fields = {path: written(value) for path, value in base.items()}
+        schemes[name] = {"code": scheme, "loop": loops.compiled[0].name, "fields": fields, "moves": {}}
+    modes = system.mode_array(shown.initial(system))
+    rows = [[int(l), int(m), modes[l, m].real, modes[l, m].imag] for l, m in np.argwhere(np.abs(modes) > 1e-9)]
+    return {"start": shown.start, "modes": rows, "schemes": schemes}
 
 
 def moved(shown: Shown, system: Any, loops: Any, base: dict[str, Any]) -> dict[str, Any]:
@@ -131,11 +159,11 @@ def written(value: Any) -> Any:
 
 def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
     """Return everything that the page needs of a system."""
-    schemes = {}
+    schemes: dict[str, Any] = {}
     invariants: list[str] = []
     sources: dict[str, int] = {}
     system = shown.build(first_values(shown))
-    for name, scheme, _ in SCHEMES:
+    for name, scheme, _ in () if shown.start else SCHEMES:
         scheme = code_of(scheme, shown)
         base, loops = tables_of(shown, scheme, first_values(shown), STEPS[0])
         moves = moved(shown, system, loops, base)
@@ -161,6 +189,7 @@ def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
         "view": shown.view,
         "step": shown.step,
         "schemes": schemes,
+        **(planet_entry(shown) if shown.start else {}),
     }
 
 
@@ -203,7 +232,7 @@ def main() -> None:
         "version": VERSION,
         "library": co.__version__,
         "interface": interface_text(),
-        "schemes": [{"name": name, "code": code, "title": title} for name, code, title in SCHEMES],
+        "schemes": [{"name": name, "code": code, "title": title} for name, code, title in (*SCHEMES, *OF_MATRICES)],
         "rows": rows_of_parts(),
         **shared(entries),
     }

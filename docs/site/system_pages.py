@@ -30,6 +30,10 @@ GROUPS = {
     "examples": "Light, growth and examples of the literature",
 }
 """Titles of groups, by the folder of a system."""
+JETS = (
+    "Turbulence on a rotating planet, decaying above and forced below: the relative vorticity, and the mean eastward "
+    "speed. Jets are strong at the equator, and weak where the deformation radius is small; grey, without one."
+)
 MAX_START = 13
 MAX_FORMULAS = 12
 MAX_LATEX = 400
@@ -216,10 +220,12 @@ def _index() -> Iterator[str]:
     if left:
         raise ValueError(f"systems of the folders {', '.join(left)} have no group; add a title to GROUPS")
     caption = decaying_turbulence().caption
-    yield "## A large scene\n"
+    yield "## Large scenes\n"
     yield f":::{{figure}} ../decaying_turbulence.png\n:alt: {caption}\n\n{caption}\n:::\n"
     yield f"{summary_of(decaying_turbulence)} See [](../fluids.md).\n"
     yield "```sh\ncoadjoint gallery decaying_turbulence\n```\n"
+    yield f":::{{figure}} ../jets.png\n:alt: {JETS}\n\n{JETS}\n:::\n"
+    yield "See [](../planets.md#jets).\n"
     yield "```{toctree}\n:hidden:\n"
     yield from co.systems.names()
     yield "```"

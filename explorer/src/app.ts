@@ -4,8 +4,9 @@ import type { Vector } from "./camera";
 import { python } from "./exports";
 import type { Kernels } from "./kernels";
 import { orbitLines } from "./orbit";
+import { Planet } from "./planet";
 import { Shape } from "./scene";
-import { type Choice, firstChoice } from "./state";
+import { type Choice, firstChoice, schemesOf } from "./state";
 import { fieldsOf, type System, type Tables, type View } from "./tables";
 import { type Plan, Track } from "./track";
 
@@ -50,7 +51,8 @@ export class App {
 
   select(name: string): void {
     const next = firstChoice(this.tables, name, this.choice.algebra);
-    this.choice = { ...next, schemes: this.choice.schemes, rate: this.choice.rate, turn: this.choice.turn };
+    const { schemes, rate, turn } = this.choice, known = schemesOf(this.tables, name);
+    this.choice = { ...next, schemes: schemes.every((scheme) => known.includes(scheme)) ? schemes : next.schemes, rate, turn };
     this.restart();
   }
 
@@ -70,22 +72,42 @@ export class App {
   }
 
   plans(): Plan[] {
-    const { choice, system, tables } = this;
-    return choice.schemes.map((name) => ({
-      title: this.title(name),
-      loop: tables.systems.rigid_body.schemes[name].loop,
-      fields: system
+    const { choice, system, tables } = this, planet = this.planetOf();
+    const x0 = planet?.state(system!.modes!) ?? choice.x0;
+    return choice.schemes.map((name) => {
+      const fields = system
         ? fieldsOf(tables, system, system.schemes[name], choice.values, choice.step)
-        : typedFields(tables, choice.algebra, name, choice.step),
-      invariants: system ? system.invariants : invariantsOf(choice.algebra),
-      step: choice.step,
-      x0: choice.x0,
-      section: this.view.section,
-    }));
+        : typedFields(tables, choice.algebra, name, choice.step);
+      return {
+        title: this.title(name),
+        loop: (system ?? tables.systems.rigid_body).schemes[name].loop,
+        fields: planet?.fields(this.kernels, fields) ?? fields,
+        invariants: planet?.invariants ?? system?.invariants ?? invariantsOf(choice.algebra),
+        step: choice.step,
+        x0,
+        section: this.view.section,
+        planet,
+      };
+    });
+  }
+
+  private planetOf(): Planet | undefined {
+    const { N, lamb, rotation } = this.choice.values;
+    return this.view.kind === "planet" ? new Planet(N, lamb, rotation) : undefined;
+  }
+
+  // Names of the columns of the downloaded data.
+  get columns(): string[] {
+    return this.tracks[0]?.plan.planet?.names ?? this.coordinates;
+  }
+
+  // Python code of the initial state.
+  get start(): string {
+    return this.system?.start ?? `[${this.choice.x0.map(python).join(", ")}]`;
   }
 
   get hasCasimirs(): boolean {
-    return this.system ? this.system.invariants.length > 1 : casimirs(cube(this.choice.algebra)).length > 0;
+    return this.system ? this.system.invariants.length !== 1 : casimirs(cube(this.choice.algebra)).length > 0;
   }
 
   get hasAttitudes(): boolean {
@@ -108,7 +130,7 @@ export class App {
     }
     const { view } = this, balls = (view.balls ?? [0]).length;
     this.tracks = this.plans().map((plan) => new Track(this.kernels, plan, balls));
-    this.shapes = this.tracks.map(() => new Shape(view, x0));
+    this.shapes = view.kind === "planet" ? [] : this.tracks.map(() => new Shape(view, x0));
   }
 
   // Take the steps of one frame; fewer if they take too long.
@@ -121,7 +143,7 @@ export class App {
   }
 
   take(steps: number): void {
-    const start = performance.now(), pieces = Math.min(MAX_PIECES, Math.ceil(steps / 20));
+    const start = performance.now(), pieces = Math.min(MAX_PIECES, Math.ceil(steps / (this.view.kind === "planet" ? 1 : 20)));
     let left = steps;
     for (let piece = 0; piece < pieces && left > 0; ++piece) {
       const taken = Math.ceil(left / (pieces - piece));

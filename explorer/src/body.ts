@@ -94,7 +94,7 @@ export function drawBody(
   canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Matrix | null, x: ArrayLike<number>, values: Values,
   color: string, colors: Colors,
 ): void {
-  if (view.body === "vorticity") return drawVorticity(canvas, x, view.waves ?? triadOf(values), view.waves ? 2 : 1);
+  if (view.body === "vorticity") return drawVorticity(canvas, x, triadOf(values));
   if (view.body === "arrows") return drawArrows(canvas, camera, view, x, color, colors);
   if (!attitude) return;
   const frame = frameOf(canvas, camera, view.body === "top" ? 0.26 : 0.3), half = box(inertiaOf(values));
@@ -129,13 +129,22 @@ function drawArrows(
   }
 }
 
+// Set a pixel to the color of a value between -1 and 1.
+export function paint(data: Uint8ClampedArray, at: number, value: number): void {
+  const far = Math.min(1, Math.abs(value)), [r, g, b] = value > 0 ? [200, 60, 50] : [40, 100, 190];
+  data[at] = 246 + (r - 246) * far;
+  data[at + 1] = 246 + (g - 246) * far;
+  data[at + 2] = 246 + (b - 246) * far;
+  data[at + 3] = 255;
+}
+
 const triadOf = ({ kx, ky }: Values) => [[1, 0], [kx, ky], [1 + kx, ky]];
 
 const CELLS = 44;
 let image: ImageData | null = null;
 
-// The sum of waves on a square of two periods of the first, each the cosine, or with two coordinates also the sine.
-function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, waves: number[][], coordinates: number): void {
+// The sum of waves on a square of two periods of the first.
+function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, waves: number[][]): void {
   if (canvas.width !== CELLS) canvas.width = canvas.height = CELLS;
   const context = canvas.getContext("2d")!;
   image ??= context.createImageData(CELLS, CELLS);
@@ -146,15 +155,9 @@ function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, waves: n
       let value = 0;
       for (const [k, wave] of waves.entries()) {
         const phase = wave[0] * u + wave[1] * v;
-        value += x[coordinates * k] * Math.cos(phase);
-        if (coordinates === 2) value += x[2 * k + 1] * Math.sin(phase);
+        value += x[k] * Math.cos(phase);
       }
-      const at = 4 * (row * CELLS + column), far = Math.min(1, (Math.abs(value) / most) * 1.3);
-      const [r, g, b] = value > 0 ? [200, 60, 50] : [40, 100, 190];
-      image.data[at] = 246 + (r - 246) * far;
-      image.data[at + 1] = 246 + (g - 246) * far;
-      image.data[at + 2] = 246 + (b - 246) * far;
-      image.data[at + 3] = 255;
+      paint(image.data, 4 * (row * CELLS + column), (value / most) * 1.3);
     }
   context.putImageData(image, 0, 0);
 }

@@ -1,7 +1,7 @@
 // The same run as a script for Python, and as a table of numbers.
 import { firstBlock } from "./camera";
 import type { Kernels, Points } from "./kernels";
-import type { Plan } from "./track";
+import { type Plan, startedRun, valuesOf } from "./track";
 
 const MAX_ROWS = 20000;
 
@@ -11,7 +11,7 @@ export interface Script {
   system: string; // Python code
   schemes: string[];
   attitude: boolean;
-  x0: number[];
+  x0: string; // Python code
   step: number;
   steps: number;
 }
@@ -21,7 +21,7 @@ export function pythonScript({ system, schemes, attitude, x0, step, steps }: Scr
   return `import coadjoint as co
 
 system = ${system}
-x0 = [${x0.map(python).join(", ")}]
+x0 = ${x0}
 for method in (
 ${schemes.map((scheme) => `    ${scheme},`).join("\n")}
 ):
@@ -32,20 +32,19 @@ ${schemes.map((scheme) => `    ${scheme},`).join("\n")}
 
 const ROTATION = [1, 2, 3].flatMap((i) => [1, 2, 3].map((j) => `R${i}${j}`));
 
-// Both runs again from the start, with at most some thousands of their states, and rotations where they have attitudes.
+// Both runs again from the start, with at most some thousands of their states, or mean eastward speeds of a flow on a
+// sphere, and rotations where they have attitudes.
 export function csv(kernels: Kernels, plans: Plan[], coordinates: string[], attitude: boolean, steps: number): string {
   const every = Math.max(1, Math.ceil((steps * plans.length) / MAX_ROWS));
   const quoted = (text: string) => (/[",]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const header = ["scheme", "step", "t", ...coordinates, ...plans[0].invariants, ...(attitude ? ROTATION : [])];
   const rows = [header.map(quoted).join(",")];
   for (const plan of plans) {
-    const size = plan.x0.length, count = plan.invariants.length;
-    const run = kernels.run(plan.loop, plan.fields, size, count);
-    run.begin(plan.x0);
-    const row = (numbers: Float64Array, width: number, k: number) => numbers.subarray(k * width, (k + 1) * width);
+    const size = plan.x0.length, run = startedRun(kernels, plan);
     const add = (step: number, points: Points, k: number) => {
       const rotation = attitude ? firstBlock(points.group(k))! : [];
-      const numbers = [...row(points.x, size, k), ...row(points.values, count, k), ...rotation];
+      const x = points.x.subarray(k * size, (k + 1) * size);
+      const numbers = [...(plan.planet?.zonal(x) ?? x), ...valuesOf(plan, points, k), ...rotation];
       rows.push([quoted(plan.title), step, step * plan.step, ...numbers].join(","));
     };
     for (let done = 0; done < steps && !run.failure; ) {

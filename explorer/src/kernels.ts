@@ -9,6 +9,7 @@ interface Exports {
   free(at: number): void;
   description(): number;
   taylor_address(): number;
+  isospectral_address(): number;
   [name: string]: unknown;
 }
 
@@ -142,7 +143,9 @@ export class Run {
     if (loop === "stepping_advance") {
       const pointer = this.offset("Stepping", "step");
       const at = this.view.getUint32(this.tables + pointer, true);
-      this.view.setBigInt64(at, BigInt(kernels.wasm.taylor_address()), true);
+      const { taylor_address, isospectral_address } = kernels.wasm;
+      const address = this.view.getBigInt64(at, true) ? isospectral_address() : taylor_address();
+      this.view.setBigInt64(at, BigInt(address), true);
     }
     const memorySize = kernels.wasm[`${loop}_memory_size`] as ((tables: number) => bigint) | undefined;
     this.memorySize = memorySize ? Number(memorySize(this.tables)) : 0;

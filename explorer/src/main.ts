@@ -6,6 +6,7 @@ import { element } from "./controls";
 import { csv, download, pythonScript } from "./exports";
 import { Kernels } from "./kernels";
 import { buildPanel } from "./panel";
+import { drawPlanet } from "./map";
 import { drawErrors, drawSection } from "./plots";
 import { drawScene, picked } from "./scene";
 import { FIRST_TURN, firstChoice, read, written } from "./state";
@@ -129,9 +130,13 @@ class Page {
       const click = view.click === undefined ? "" : " A click sets the initial state.";
       scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the orbit. Arrow keys turn it.${click}`);
       hint.textContent = view.click === undefined ? "drag to turn" : "drag to turn · click to start";
-      body.hidden = !view.body;
+      body.hidden = !view.body && view.kind !== "planet";
+      body.classList.toggle("profile", view.kind === "planet");
       body.width = body.height = 0;
     }
+    const relative = view.kind === "planet" ? ", of its size" : "";
+    this.energy.caption.textContent = `Energy error |H − H₀|${relative}, largest so far`;
+    this.casimirs.caption.textContent = `Casimir error |C − C₀|${relative}, largest so far`;
     this.casimirs.figure.hidden = !app.hasCasimirs;
     this.section.figure.hidden = !view.section;
     this.section.caption.textContent = view.section ? `Poincaré section: ${view.section.name}` : "";
@@ -150,14 +155,14 @@ class Page {
     const { app } = this, { choice } = app;
     return pythonScript({
       system: app.systemCode(), schemes: choice.schemes.map((name) => app.schemeCode(name)),
-      attitude: app.hasAttitudes, x0: choice.x0, step: choice.step,
+      attitude: app.hasAttitudes, x0: app.start, step: choice.step,
       steps: Math.max(1, app.steps),
     });
   }
 
   data(): string {
     const { app } = this;
-    return csv(app.kernels, app.plans(), app.coordinates, app.hasAttitudes, Math.max(1, app.steps));
+    return csv(app.kernels, app.plans(), app.columns, app.hasAttitudes, Math.max(1, app.steps));
   }
 
   private save(): void {
@@ -257,7 +262,8 @@ class Page {
     const { app, palette } = this, matrix = camera(app.choice.turn);
     for (const [k, track] of app.tracks.entries()) {
       const { scene, body, readout } = this.cards[k], color = k ? palette.b : palette.a;
-      drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette, app.orbit);
+      if (app.view.kind === "planet") drawPlanet(scene, body, matrix, track, palette);
+      else drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette, app.orbit);
       if (app.view.body) {
         const attitude = track.rotation && attitudeOf(app.view, track.rotation, app.choice.x0);
         drawBody(body, matrix, app.view, attitude, track.x, app.choice.values, color, palette);

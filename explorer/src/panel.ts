@@ -1,7 +1,7 @@
 // The settings of the page.
 import { type App, subscripted } from "./app";
 import { button, choice, element, numbers, slider } from "./controls";
-import { MAX_RATE, MAX_STEP, MIN_RATE, MIN_STEP, TYPED } from "./state";
+import { MAX_RATE, MAX_STEP, MIN_RATE, MIN_STEP, schemesOf, TYPED } from "./state";
 
 export interface Actions {
   changed: (restart: boolean) => void;
@@ -26,7 +26,7 @@ function group(title: string, ...children: Node[]): HTMLFieldSetElement {
 }
 
 function schemes(app: App, actions: Actions): Node[] {
-  const options = app.tables.schemes.map(({ name, title }): [string, string] => [name, title]);
+  const options = schemesOf(app.tables, app.choice.system).map((name): [string, string] => [name, app.title(name)]);
   return ["Left scheme", "Right scheme"].map((label, k) =>
     choice(label, options, app.choice.schemes[k], (name) => {
       app.choice.schemes[k] = name;
@@ -76,14 +76,15 @@ function typed(app: App, actions: Actions): Node[] {
   return [group("Structure constants", examples, ...brackets), group("Energy", ...energy)];
 }
 
-function start(app: App, actions: Actions): Node {
+function start(app: App, actions: Actions): Node[] {
+  if (!app.coordinates.length) return [];
   const fields = numbers(app.coordinates, app.choice.x0, (values) => {
     app.choice.x0 = values;
     actions.rebuilt();
   }, actions.refused, app.coordinates.map(subscripted));
   const about = app.view.kind === "sphere" ? "Click on the sphere, or type:" : "Type:";
-  if (app.choice.x0.length <= MANY) return group("Initial state", element("p", { className: "about" }, about), fields);
-  return element("details", {}, element("summary", {}, "Initial state"), element("p", { className: "about" }, about), fields);
+  if (app.choice.x0.length <= MANY) return [group("Initial state", element("p", { className: "about" }, about), fields)];
+  return [element("details", {}, element("summary", {}, "Initial state"), element("p", { className: "about" }, about), fields)];
 }
 
 export function buildPanel(app: App, actions: Actions): Node[] {
@@ -123,7 +124,7 @@ export function buildPanel(app: App, actions: Actions): Node[] {
       })),
     ...parameters(app, actions),
     ...typed(app, actions),
-    start(app, actions),
+    ...start(app, actions),
     element("div", { className: "row" },
       button("Copy as Python", actions.copyScript), button("Download data", actions.download), button("Copy link", actions.copyLink)),
   ];

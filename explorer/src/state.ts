@@ -23,11 +23,14 @@ export const MIN_STEP = 0.01, MAX_STEP = 2, MIN_RATE = 1, MAX_RATE = 100000;
 export const FIRST_TURN: [number, number] = [-0.65, 0.42];
 export const FIRST_ALGEBRA: Algebra = { constants: [0, 0, 1, 1, 0, 0, 0, 1, 0], squares: [1, 0.6, 0.4], linear: [0, 0, 0] };
 
+export const schemesOf = (tables: Tables, system: string) =>
+  Object.keys((tables.systems[system] ?? tables.systems.rigid_body).schemes);
+
 export function firstChoice(tables: Tables, name = "rigid_body", algebra = FIRST_ALGEBRA): Choice {
   const system = tables.systems[name];
   return {
     system: name,
-    schemes: ["splitting4", "rk4"], // of the same order
+    schemes: schemesOf(tables, name).includes("rk4") ? ["splitting4", "rk4"] : ["isospectral2", "isospectral4"],
     step: system?.step ?? 1.5,
     rate: 60,
     values: Object.fromEntries((system?.sliders ?? []).map((slider) => [slider.name, slider.value])),
@@ -80,7 +83,7 @@ export function read(tables: Tables, text: string, refused: string[] = []): Choi
   };
   const number = (label: string, usual: number, low: number, high: number) => numbers(label, [usual], low, high)[0];
   for (const [k, label] of ["a", "b"].entries())
-    choice.schemes[k] = known(label, tables.schemes.map((scheme) => scheme.name), choice.schemes[k]);
+    choice.schemes[k] = known(label, schemesOf(tables, choice.system), choice.schemes[k]);
   choice.step = number("h", choice.step, MIN_STEP, MAX_STEP);
   choice.rate = number("rate", choice.rate, MIN_RATE, MAX_RATE);
   for (const slider of tables.systems[choice.system]?.sliders ?? [])

@@ -21,12 +21,11 @@ export interface Scheme {
 }
 
 export interface View {
-  kind: "sphere" | "path" | "cylinder";
+  kind: "sphere" | "path" | "cylinder" | "planet";
   balls?: number[][];
   axes?: number[];
   labels?: string[];
   body?: "inertia" | "top" | "arrows" | "vorticity";
-  waves?: number[][]; // wave vectors of cosine and sine on a torus, pairs of coordinates
   click?: number;
   centered?: boolean; // a path around the origin, whose scale changes in steps
   section?: Section;
@@ -52,6 +51,8 @@ export interface System {
   view: View;
   step: number;
   schemes: Record<string, Scheme>;
+  start?: string; // code of the initial state of a flow on a sphere
+  modes?: number[][]; // of its relative vorticity: l, m, real and imaginary part
 }
 
 export interface Tables {
@@ -64,7 +65,7 @@ export interface Tables {
   systems: Record<string, System>;
 }
 
-export const VERSION = 2;
+export const VERSION = 3;
 
 export type Values = Record<string, number>;
 

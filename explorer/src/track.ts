@@ -1,6 +1,7 @@
 // One of the two runs side by side: its last states, its errors and its section.
 import { firstBlock, type Matrix } from "./camera";
 import type { Fields, Kernels, Points, Run } from "./kernels";
+import type { Planet } from "./planet";
 import type { Section } from "./tables";
 
 export const TRAIL = 2400; // coordinates triples kept, for all balls together
@@ -14,8 +15,9 @@ export interface Plan {
   fields: Fields;
   invariants: string[];
   step: number;
-  x0: number[];
+  x0: ArrayLike<number>;
   section?: Section;
+  planet?: Planet; // of matrices, whose invariants the page computes
 }
 
 // The largest error until each of some steps, which are evenly spaced on a logarithmic axis.
@@ -38,6 +40,19 @@ export class Errors {
   }
 }
 
+// A run of a plan from its initial state.
+export function startedRun(kernels: Kernels, plan: Plan): Run {
+  const run = kernels.run(plan.loop, plan.fields, plan.x0.length, plan.planet ? 0 : plan.invariants.length);
+  run.begin(plan.x0);
+  return run;
+}
+
+// The invariants at a point.
+export function valuesOf({ planet, invariants: { length }, x0 }: Plan, points: Points, k: number): number[] {
+  if (planet) return planet.values(points.x.subarray(k * x0.length, (k + 1) * x0.length));
+  return Array.from(points.values.subarray(k * length, (k + 1) * length));
+}
+
 export class Track {
   readonly energy = new Errors();
   readonly casimirs = new Errors();
@@ -49,17 +64,18 @@ export class Track {
   rotation: Matrix | null = null; // of the last group element, its first block
   failure = "";
   private readonly run: Run;
-  private readonly first: Float64Array;
+  private readonly first: number[];
+  private readonly units: number[]; // of errors of the invariants
   private readonly recent: Float64Array[] = [];
 
   constructor(kernels: Kernels, readonly plan: Plan, balls: number) {
     const size = plan.x0.length;
-    this.run = kernels.run(plan.loop, plan.fields, size, plan.invariants.length);
-    this.run.begin(plan.x0);
-    this.capacity = Math.floor(TRAIL / Math.max(1, balls));
+    this.run = startedRun(kernels, plan);
+    this.capacity = plan.planet ? 1 : Math.floor(TRAIL / Math.max(1, balls));
     this.trail = new Float64Array(this.capacity * size);
     const start = this.run.advance(1, plan.step);
-    this.first = start.values.slice(0, plan.invariants.length);
+    this.first = valuesOf(plan, start, 0);
+    this.units = plan.planet?.units(this.first) ?? this.first.map(() => 1);
     this.x = start.x.slice(0, size);
     this.add(start);
   }
@@ -79,17 +95,16 @@ export class Track {
   }
 
   private add(points: Points): void {
-    const size = this.x.length, count = this.plan.invariants.length, { section } = this.plan;
+    const size = this.x.length, { section } = this.plan;
     for (let k = 0; k < points.count; ++k) {
       const next = points.x.subarray(k * size, (k + 1) * size);
       if (section) this.cross(section, next);
       this.x = next;
       this.trail.set(next, (this.count % this.capacity) * size);
-      let worst = 0;
-      for (let i = 1; i < count; ++i) worst = Math.max(worst, Math.abs(points.values[k * count + i] - this.first[i]));
       if (this.count) {
-        this.energy.add(this.count, Math.abs(points.values[k * count] - this.first[0]));
-        this.casimirs.add(this.count, worst);
+        const errors = valuesOf(this.plan, points, k).map((value, i) => Math.abs(value - this.first[i]) / this.units[i]);
+        this.energy.add(this.count, errors[0]);
+        this.casimirs.add(this.count, Math.max(0, ...errors.slice(1)));
       }
       ++this.count;
     }

@@ -5,6 +5,7 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { Kernels } from "../src/kernels";
 import { casimirs, cube, invariantsOf, satisfiesJacobi, typedFields } from "../src/algebra";
+import { Planet } from "../src/planet";
 import type { Algebra } from "../src/state";
 import { checked, evaluate, fieldsOf, type Tables, type Values } from "../src/tables";
 
@@ -35,11 +36,26 @@ interface Typed {
   casimirs: number;
 }
 
+interface OnSphere {
+  scheme: string;
+  values: Values;
+  step: number;
+  steps: number;
+  x: number[][]; // first and last
+  invariants: number[][];
+  vorticity: number[]; // of the last state
+  zonal: number[];
+}
+
 const ROUND_OFF = 1e-12; // where the order of operations is another one
 
 const kernels = await Kernels.load(readFileSync(join(BUILT, "public/kernels.wasm")));
 const tables = checked(JSON.parse(readFileSync(join(BUILT, "public/tables.json"), "utf-8")) as Tables);
-const { runs, algebras } = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as { runs: Expected[]; algebras: Typed[] };
+const { runs, algebras, planets } = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as {
+  runs: Expected[];
+  algebras: Typed[];
+  planets: OnSphere[];
+};
 
 // The states and invariants at the saved steps, computed in pieces of this many steps, and the group elements after each
 // piece.
@@ -94,6 +110,38 @@ for (const [number, typed] of algebras.entries())
       const size = Math.max(...typed.x.flat().map(Math.abs));
       x.flat().forEach((value, k) => assert.ok(Math.abs(value - typed.x.flat()[k]) <= ROUND_OFF * size));
     }
+  });
+
+// Products of matrices add in another order than those of the library.
+const MATRIX_ROUND_OFF = 1e-10;
+
+for (const { scheme, values, step, steps, x, invariants, vorticity, zonal } of planets)
+  test(`a planet of N = ${values.N}, ${scheme}, lamb = ${values.lamb}`, () => {
+    const { planet: system } = tables.systems, planet = new Planet(values.N, values.lamb, values.rotation);
+    const close = (found: ArrayLike<number>, wanted: number[], what: string, units?: number[]) => {
+      const size = Math.max(...wanted.map(Math.abs));
+      assert.equal(found.length, wanted.length);
+      wanted.forEach((value, k) => {
+        const error = Math.abs(found[k] - value) / (units?.[k] ?? size);
+        assert.ok(error <= MATRIX_ROUND_OFF, `${what} ${k}: ${found[k]}, not ${value}`);
+      });
+    };
+    const first = planet.state(system.modes!);
+    close(first, x[0], "first state");
+    const run = kernels.run(system.schemes[scheme].loop, planet.fields(kernels, fieldsOf(tables, system, system.schemes[scheme], values, step)), planet.size, 0);
+    run.begin(first);
+    const points = run.advance(steps, step);
+    run.free();
+    assert.equal(run.failure, "");
+    const last = points.x.subarray(steps * planet.size, (steps + 1) * planet.size);
+    close(last, x[1], "last state");
+    const units = planet.units(invariants[0]), found = planet.values(last);
+    close(planet.values(first), invariants[0], "first invariant", units);
+    close(found, invariants[1], "last invariant", units);
+    found.slice(1).forEach((value, k) => assert.ok(Math.abs(value - invariants[0][k + 1]) < 1e-13 * units[k + 1]));
+    close(planet.vorticity(last), vorticity, "vorticity");
+    close(planet.zonal(last), zonal, "speed");
+    assert.ok(Math.max(...x[1].map((value, k) => Math.abs(value - x[0][k]))) > 1e-3 * Math.max(...x[0].map(Math.abs)));
   });
 
 test("Jacobi identity", () => {

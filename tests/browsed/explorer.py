@@ -35,8 +35,10 @@ import coadjoint as co
 LARGEST_SIZE = 500_000  # bytes of all files, compressed
 FRAMES_TIME = 1.2  # seconds in which frames are counted
 STEPS = 150
+PLANET_STEPS, PLANET_ERROR = 100, 1e-10  # products of matrices add in another order
 SECTION_STEPS, SECTION_ERROR = 2000, 3e-3
 SYSTEMS = (*(shown.name for shown in SHOWN), "algebra")
+(PLANET,) = (shown.name for shown in SHOWN if shown.start)
 SCHEMES = ("splitting2", "splitting4", "rk4", "gauss", "taylor")
 WAIT = 20_000
 
@@ -119,7 +121,7 @@ def check_data(text: str, states: list[list[float]], rotations: list[Any], sol: 
 
 def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
     """Compare every system under every scheme with the script that the page writes."""
-    for system in SYSTEMS:
+    for system in (name for name in SYSTEMS if name != PLANET):
         for first, second in (SCHEMES[:2], SCHEMES[2:4], (SCHEMES[4], SCHEMES[0])):
             with opened(browser, base, f"system={system}&a={first}&b={second}", wrong) as tab:
                 states = take(tab, STEPS)
@@ -132,6 +134,29 @@ def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
                 same = np.allclose(state, value, rtol=0, atol=1e-12) if rounded else state == value
                 if not same:
                     wrong.append(f"{system}, {name}: {state} in the page, {value} in Python")
+
+
+def check_planet(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Compare a flow on a sphere with the script of the page, and find the picture of it where its disc is."""
+    for address in ("", "&p.N=16&p.lamb=150&p.rotation=20&a=isospectral4&b=isospectral2"):
+        with opened(browser, base, f"system={PLANET}{address}", wrong) as tab:
+            states = take(tab, PLANET_STEPS)
+            tab.wait_for_timeout(300)
+            script, size = tab.evaluate("explorer.script()"), tab.evaluate("explorer.app.choice.values.N")
+            errors = tab.evaluate("explorer.app.tracks.map((track) => track.casimirs.most)")
+            drawn = [len(tab.evaluate(COLOR_POINTS, [f"canvas.{name}", 1, None])) for name in ("scene", "body")]
+        names: dict[str, Any] = {}
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exec(compile(script, "script of the explorer", "exec"), names)
+        expected = names["sol"].x[-1]
+        found = np.array(states[1]).view(np.complex128).reshape(expected.shape)
+        if len(expected) != size or not np.abs(found - expected).max() < PLANET_ERROR * np.abs(expected).max():
+            wrong.append(f"a planet of N = {size}: states differ by {np.abs(found - expected).max()}")
+        if not 0 < max(errors) < 1e-13:
+            wrong.append(f"a planet of N = {size}: the errors of traces are {errors}")
+        if drawn[0] < 30_000 or not drawn[1]:
+            wrong.append(f"a planet of N = {size}: {drawn} pixels are drawn")
 
 
 def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -339,8 +364,6 @@ def check_drawings(browser: Browser, base: str, wrong: list[str]) -> None:
         ("fluid_triad", "1,0,0", [("red", 0, 0), ("blue", 11, 0), ("red", 22, 30)]),
         ("fluid_triad", "0,1,0", [("red", 0, 0), ("blue", 0, 7), ("blue", 22, 0)]),
         ("fluid_triad", "0,0,1", [("red", 0, 0), ("blue", 7, 0), ("red", 15, 0), ("blue", 0, 7)]),
-        ("fluid_modes", "0,1,0,0,0,0,0,0", [("red", 5, 9), ("blue", 16, 20)]),
-        ("fluid_modes", "0,0,0,0,0,0,1,0", [("red", 5, 5), ("blue", 11, 0), ("blue", 22, 33)]),
     ):
         with opened(browser, base, f"system={system}&h=0.01&x={x}", wrong) as tab:
             tab.evaluate("explorer.app.playing = false")
@@ -527,6 +550,7 @@ def main() -> int:
                         wrong += [f"{system}, {window[0]} pixels, {color}: {fault}" for fault in found]
         check_file(browser, folder, wrong)
         check_numbers(browser, base, wrong)
+        check_planet(browser, base, wrong)
         check_address(browser, base, wrong)
         check_refusals(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)

@@ -29,7 +29,7 @@ def test_programs_that_check_their_results(name, capsys):
 @pytest.mark.parametrize("kind", ["decaying", pytest.param("forced", marks=pytest.mark.long)])
 def test_jets_of_planets_fall_with_the_latitude(kind, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["planetary_jets.py", "48", kind])
-    runpy.run_path(str(EXAMPLES / "planetary_jets.py"))
+    runpy.run_path(str(EXAMPLES / "planetary_jets.py"), run_name="__main__")
     assert capsys.readouterr().out
 
 
