@@ -105,6 +105,11 @@ class StructureFactor:
         """Energies hbar omega, in the unit of the model, (m,)."""
         return self.hbar * self.omega
 
+    @property
+    def density(self) -> Floats:
+        """Intensity for each unit of energy, as 1/meV, (k, m); its sum times the distance of energies is `static`."""
+        return self.intensity / self.hbar
+
     def broadened(self, fwhm: float | Callable[[Any], Any]) -> StructureFactor:
         """Return the structure factor with the energy resolution of an instrument.
 
