@@ -102,7 +102,7 @@ MEMBERS_OF = (
     ("An average with its error", Estimate, ""),
     ("A hysteresis loop", Hysteresis, "coercive_fields switching_fields"),
     ("A path of minimum energy", EnergyPath, ""),
-    ("A structure factor", co.spectra.StructureFactor, "broadened energies integrated plot"),
+    ("A structure factor", co.spectra.StructureFactor, "broadened density energies integrated plot"),
     ("Linear modes", co.spectra.LinearModes, "energies plot spectrum stable"),
     ("What neutrons measure", co.spectra.Neutrons, "form_factor"),
     ("An autocorrelation", co.spectra.Autocorrelation, ""),

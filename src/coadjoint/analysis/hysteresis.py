@@ -12,7 +12,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import read_seed
-from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import UNITS
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite, read_positive
@@ -120,8 +119,9 @@ def hysteresis(
     >>> loop.switching_fields.round(2).tolist()
     [[0.0, 0.0, -1.0]]
     """
-    if not isinstance(model, SpinModel) or isinstance(model, CoherentSpinModel):
-        raise TypeError(f"model is {short(model)}; give one of co.spins.micromagnetic or co.systems.spins, of dipoles")
+    if not isinstance(model, SpinModel):
+        raise TypeError(f"model is {short(model)}; give one of co.spins.micromagnetic or co.systems.spins")
+    model._check_directions("hysteresis")
     if model.forces:
         raise TypeError(f"{model.name} has forces; hysteresis takes the Hamiltonian part, model.unforced")
     targets, start = read_finite(fields, "fields"), read_finite(x0, "x0")

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.geometry import CELLS, has_cell, read_flags, sizes_of
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite
@@ -114,9 +113,8 @@ def skyrmion_number(model: Any, x: npt.ArrayLike) -> Any:
 
 def _plane(model: Any) -> PlaneOfSites:
     """Return the plane of a model; ValueError or TypeError for systems without one."""
-    if isinstance(model, CoherentSpinModel):
-        raise TypeError(f'{model.name} have no directions; skyrmion_number needs spins of mode="dipole"')
     if isinstance(model, SpinModel):
+        model._check_directions("skyrmion_number")
         if any(model.twist):
             raise ValueError(f"{short(model)} has twisted boundaries, across which its number is not whole")
         lattice = model.crystal.lattice

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from coadjoint.analysis.wave_vectors import (
     common_lattice,
     existing_components,
     fitting,
+    numbers_of_sites,
     places_of,
 )
 from coadjoint.keyword_hints import suggest_keywords
@@ -104,6 +106,11 @@ class StructureFactor:
     def energies(self) -> Floats:
         """Energies hbar omega, in the unit of the model, (m,)."""
         return self.hbar * self.omega
+
+    @property
+    def density(self) -> Floats:
+        """Intensity for each unit of energy, as 1/meV, (k, m); its sum times the distance of energies is `static`."""
+        return self.intensity / self.hbar
 
     def broadened(self, fwhm: float | Callable[[Any], Any]) -> StructureFactor:
         """Return the structure factor with the energy resolution of an instrument.
@@ -431,19 +438,31 @@ def _coefficients(operators: Any, neutrons: Neutrons | None, system: Any, lattic
 def _amplitudes(
     rows: Floats, system: Any, lattice: Lattice, q: Floats, neutrons: Neutrons | None, coefficients: Floats
 ) -> NDArray[np.complex128]:
-    """Return sums over the sites of states (times, n) with exp(-i q . r), shape (components, k, times)."""
-    places = places_of(system, lattice)
-    phase = 2.0 * np.pi * (q @ places.T)
+    """Return sums over the sites of states (times, n) with exp(-i q . r), shape (components, k, times), by FFT."""
+    cells, sites = numbers_of_sites(system, lattice)
     lengths = scattering_lengths(neutrons, system, np.linalg.norm(q @ lattice.reciprocal, axis=1))
-    waves = np.ascontiguousarray(np.concatenate([lengths * np.cos(phase), lengths * -np.sin(phase)]).T)
-    count, n = rows.shape
-    k = len(q)
-    result = np.empty((len(coefficients), k, count), dtype=np.complex128)
+    lengths = np.atleast_2d(lengths)
+    lengths = np.broadcast_to(lengths, (len(lengths), len(sites)))
+    by_spin = lengths[0] if len(lengths) == 1 else np.ones(len(sites))
+    sizes, (count, n) = np.array(lattice.sizes), rows.shape
+    waves = np.rint(q * sizes)
+    shifts, group = np.unique(np.round(q * sizes - waves, 9), axis=0, return_inverse=True)  # those of a twist
+    indices, axes = tuple((waves % sizes).astype(np.int64).T), tuple(range(1, 1 + len(sizes)))
+    result = np.zeros((len(coefficients), len(q), count), dtype=np.complex128)
     every = max(1, NUMBERS_AT_ONCE // n)
-    for first in range(0, count, every):
-        part = slice(first, first + every)
-        sites = rows[part].reshape(-1, len(places), n // len(places))
-        for component, (constant, *linear) in enumerate(coefficients):
-            sums = (constant + sites @ np.array(linear)) @ waves
-            result[component, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
+    for kind, first in zip(*np.unique(sites, return_index=True), strict=True):
+        own = np.flatnonzero(sites == kind)
+        places = tuple(cells[own].T)
+        factors = np.exp(-2j * np.pi * (q @ lattice.sites[kind])) * (1.0 if len(lengths) == 1 else lengths[:, first])
+        for begin, (component, (constant, *linear)) in product(range(0, count, every), enumerate(coefficients)):
+            part = slice(begin, begin + every)
+            values = rows[part].reshape(-1, len(sites), n // len(sites))[:, own] @ np.array(linear)
+            values = (constant + values) * by_spin[own]
+            for number, shift in enumerate(shifts):
+                grid = np.zeros((len(values), *lattice.sizes), dtype=np.complex128 if shift.any() else np.float64)
+                turn = np.exp(-2j * np.pi * (cells[own] @ (shift / sizes))) if shift.any() else 1.0
+                grid[(slice(None), *places)] = values * turn
+                chosen = np.flatnonzero(group.ravel() == number)
+                found = np.fft.fftn(grid, axes=axes)[(slice(None), *(index[chosen] for index in indices))]
+                result[component, chosen, part] += (found * factors[chosen]).T
     return result

@@ -189,6 +189,14 @@ def places_of(system: Any, lattice: Lattice) -> Floats:
     return cell_coordinates(system.layout["lattice"], lattice.sizes)
 
 
+def numbers_of_sites(system: Any, lattice: Lattice) -> tuple[Integers, Integers]:
+    """Return the cells of all spins, (spins, axes), and the numbers of their sites in the cell."""
+    if isinstance(system, SpinModel):
+        return system.cells, system.sites
+    cells, sites = np.divmod(np.arange(len(places_of(system, lattice))), len(lattice.sites))
+    return np.stack(np.unravel_index(cells, lattice.sizes), axis=-1), sites
+
+
 def commensurate_waves(lattice: Lattice, where: Any) -> WaveVectors:
     """Return the wave vectors of a path, a plane or shells that fit the cells of a lattice."""
     sizes = np.array(lattice.sizes)

@@ -16,7 +16,6 @@ from coadjoint.files.output.output_files import OVFS, OutputError, check_target,
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.regular_files import content_of
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import (
     read_choice,
@@ -401,9 +400,8 @@ def mesh_of(system: Any) -> tuple[tuple[int, int, int], Floats | None, Floats]:
 
     Edges are None where the system has no unit of length; moments are opposite to the spins of `spin_lattice`.
     """
-    if isinstance(system, CoherentSpinModel):
-        raise ValueError(f'{system.name} have no directions; OVF takes spins of mode="dipole"')
     if isinstance(system, SpinModel):
+        system._check_directions("OVF")
         lattice, count = system.crystal.lattice, len(system.crystal.labels)
         edges = lattice.diagonal()
         if count > 1 or np.abs(lattice - np.diag(edges)).max() > 1e-9 * np.abs(edges).max() or not (edges > 0.0).all():

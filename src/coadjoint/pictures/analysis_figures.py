@@ -101,13 +101,14 @@ def draw_structure_factor(spectrum: Any, energies: Any = None, modes: Any = None
     shown = spectrum.omega >= 0.0
     if energies is not None:
         shown = (spectrum.energies >= energies[0]) & (spectrum.energies <= energies[1])
-    intensity, heights = spectrum.intensity[:, shown].T, spectrum.energies[shown]
+    intensity, heights = spectrum.density[:, shown].T, spectrum.energies[shown]
     if not len(heights):
         raise ValueError(f"energies is {energies}, between two of {spectrum!r}; give a wider range")
     # Elastic lines may be stronger by orders of magnitude than all others.
     top = BRIGHTEST * float(np.median(intensity.max(axis=0))) or 1.0
     lowest = top * 10.0**-DECADES
-    _draw_colours(axes, _edges(spectrum.distance), _edges(heights), intensity, lowest, top)
+    name = r"$S(q, \omega)$" if spectrum.hbar == 1.0 else r"$S(q, \hbar\omega)$ [1/meV]"
+    _draw_colours(axes, _edges(spectrum.distance), _edges(heights), intensity, lowest, top, name)
     if energies is None:
         visible = heights[np.any(intensity > lowest, axis=1)]
         axes.set_ylim(0.0, min(heights[-1], MARGIN * visible.max(initial=heights[1])))
@@ -160,7 +161,7 @@ def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
     # The angle of the edges, from their lengths and the diagonal.
     side, width, diagonal = spectrum.distance[spectrum.corners[1:]].tolist()
     shear = (diagonal**2 - width**2 - side**2) / (2.0 * width**2)
-    _draw_colours(axes, u + shear * v[:, None], v[:, None] + 0.0 * u, grid, top * 10.0**-DECADES, top)
+    _draw_colours(axes, u + shear * v[:, None], v[:, None] + 0.0 * u, grid, top * 10.0**-DECADES, top, r"$S(q)$")
     axes.set_aspect(np.sqrt(max(0.0, (side / width) ** 2 - shear**2)))
     origin = corner_name(spectrum.q[0])
     axes.set(xlabel=f"{origin} + x {corner_name(first)}", ylabel=f"{origin} + y {corner_name(second)}")
@@ -168,12 +169,12 @@ def _draw_plane(axes: Any, spectrum: Any, energies: Any, modes: Any) -> None:
     axes.grid(False)
 
 
-def _draw_colours(axes: Any, x: Any, y: Any, values: Any, lowest: float, top: float) -> None:
+def _draw_colours(axes: Any, x: Any, y: Any, values: Any, lowest: float, top: float, name: str) -> None:
     from matplotlib.colors import LogNorm
 
     shown = np.clip(values, lowest, top)
     mesh = axes.pcolormesh(x, y, shown, norm=LogNorm(lowest, top), cmap="viridis", rasterized=True)
-    colour_bar(axes, mesh, r"$S(q, \omega)$", extend="both")
+    colour_bar(axes, mesh, name, extend="both")
 
 
 def _name_corners(axes: Any, spectrum: Any, line: str) -> None:

@@ -210,6 +210,9 @@ def test_powders_are_means_over_shells():
         expected = by_hand(RUN, model, q, S.omega, np.broadcast_to(model.moments, (len(q), 24))).mean(axis=0)
         np.testing.assert_allclose(S.intensity[shell], expected, rtol=1e-8, atol=1e-9 * expected.max())
     assert np.allclose(S.distance, [0.7, 1.2, 1.65]) and S.q.shape == (3, 1)
+    # A density over the energies of the axis: its integral is the equal-time structure factor.
+    np.testing.assert_allclose(S.density.sum(axis=1) * np.diff(S.energies)[0], S.static, rtol=1e-10)
+    assert S.hbar < 1 and S.plot().axes[0].child_axes[0].get_ylabel().endswith("[1/meV]")
 
 
 def test_shells_of_a_very_oblique_lattice_are_whole():

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from coadjoint.files.output.output_files import OutputError, pending
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.lattices.coherent_spins import CoherentSpinModel
 from coadjoint.systems.lattices.declared_spins import MEV_PER_JOULE, merged_bonds
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.validation import read_finite, read_path
@@ -44,8 +43,7 @@ def _declared(model: Any, simulator: str) -> Any:
     """Return the declaration of a model; ValueError for terms that a simulator would not get."""
     if not isinstance(model, SpinModel):
         raise TypeError(f"model is {short(model)}; give a model of co.systems.spins")
-    if isinstance(model, CoherentSpinModel):
-        raise TypeError(f'{model.name} have operators, which are not written for {simulator}; take mode="dipole"')
+    model._check_directions(simulator)
     declared: Any = model._declared
     if model.forces:
         raise ValueError(f"the model has forces, which {simulator} takes elsewhere; give model.unforced")

@@ -134,6 +134,9 @@ class CoherentSpinModel(SpinModel):
 
     levels: int
 
+    def _check_directions(self, caller: str) -> None:
+        raise TypeError(f'{self.name} have no directions; {caller} takes spins of mode="dipole"')
+
     def _total_spins(self, M: Floats, on_site: Floats) -> dict[str, Callable[[], Quadratic]]:
         """Return the constant components of the total spin, by name as functions that make them."""
         count, width = len(on_site), on_site.shape[1] - 1

@@ -512,6 +512,9 @@ class SpinModel(LiePoissonSystem):
         """
         return super().with_forces(*(_in_energies(force, self.boltzmann) for force in forces))
 
+    def _check_directions(self, caller: str) -> None:
+        """Raise TypeError if states are no directions of spins, which `caller` takes."""
+
     def _with_constants(self, values: Mapping[str, float]) -> Self:
         found: Self = with_constants(self, values)
         return found
