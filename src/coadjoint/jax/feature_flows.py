@@ -9,12 +9,12 @@ import jax
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energies import FeatureEnergy
 from coadjoint.jax.stage_steps import CoadjointAction, EnergyNumbers, Steps
 from coadjoint.program.sweeps import JoinRules, stages_of
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedFeatures
 
 
-def feature_flow(bracket: CoadjointAction, energy: FeatureEnergy) -> Callable[[Any, Any, Any], Any]:
+def feature_flow(bracket: CoadjointAction, energy: ParametrizedFeatures) -> Callable[[Any, Any, Any], Any]:
     """Return the flow of one feature, of its direction and parameters, the state, and the time tau."""
 
     def flow(feature: Any, x: Any, tau: Any) -> Any:
@@ -24,7 +24,7 @@ def feature_flow(bracket: CoadjointAction, energy: FeatureEnergy) -> Callable[[A
     return jax.checkpoint(flow, prevent_cse=False)
 
 
-def feature_steps(bracket: CoadjointAction, scheme: Any, energy: FeatureEnergy, factor: float) -> Steps:
+def feature_steps(bracket: CoadjointAction, scheme: Any, energy: ParametrizedFeatures, factor: float) -> Steps:
     """Return the steps of a splitting of a multiple of an energy, each part of which is a feature."""
     flow, count = feature_flow(bracket, energy), len(energy.params[0])
     stages = stages_of(scheme, JoinRules(*np.zeros((2, count), dtype=bool)), 1, float)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +11,6 @@ import numpy as np
 from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 
-from coadjoint.algebra.invariants.sampled_checks import SEED
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
 from coadjoint.methods.numerics.solvers import (
     LARGEST_CORRECTION,
@@ -25,14 +22,12 @@ from coadjoint.methods.numerics.solvers import (
     STALLED,
     Coefficients,
 )
+from coadjoint.program.coadjoint_exponential import common_square, exponential
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
 # Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
 TERMS, MOST_PARTS = 18, 4
-# Largest dimension in which closed forms of exponentials are looked for, and zero for them, relative to the terms.
-MOST_COORDINATES, ZERO = 32, 1e-12
-SERIES = 8  # terms of functions of an argument below one, which are 1/20! then
 # Entries of matrices that are stored with their zeros: products of small ones are faster than gathers.
 MOST_DENSE = 2**12
 
@@ -165,7 +160,7 @@ class CoadjointAction:
         i, j, k, c = algebra.triples
         self.products = np.append(j, i), np.append(k, k)
         self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (algebra.dim, 2 * len(c)))
-        self._square: Any = None if algebra.dim > MOST_COORDINATES else _common_square(algebra)
+        self._square = common_square(algebra)
 
     def product(self, x: Any, u: Any) -> Any:
         """Return sign J(x) u."""
@@ -174,22 +169,9 @@ class CoadjointAction:
 
     def exponential(self, v: Any, x: Any) -> Any:
         """Return exp(D_v) x with D_v x = sign J(x) v; NaN by the series if the norm is larger than `MOST_PARTS`."""
-        return self._by_series(v, x) if self._square is None else self._in_closed_form(v, x)
-
-    def _in_closed_form(self, v: Any, x: Any) -> Any:
-        """Return a sum of powers, for an algebra with D (D^2 - z)^p = 0 and z = v . square v, where p is 1 or 2."""
-        square, p = self._square
-        z = v @ square @ v
-        powers = [x]
-        for _ in range(2 * p + 1):
-            powers.append(self.product(powers[-1], v))
-        total = x + powers[1]
-        # The even and the odd part are functions of D^2, equal to 1 at 0, which are known at z, for p = 2 with slopes.
-        for first in (0, 1):
-            rest, slope = jax.value_and_grad(_remainder)(z, first) if p > 1 else (_remainder(z, first), 0.0)
-            total = total + (rest - z * slope) * powers[first + 2]
-            total = total + slope * powers[first + 4] if p > 1 else total
-        return total
+        if self._square is None:
+            return self._by_series(v, x)
+        return exponential(jnp, jax.grad, self.product, self._square, v, x)
 
     def _by_series(self, v: Any, x: Any) -> Any:
         def power(carry: Any, k: Any) -> Any:
@@ -203,42 +185,6 @@ class CoadjointAction:
 
         norm = jnp.max(Sparse(jnp.abs(self.rows.values), self.rows.columns).times(jnp.abs(v[self.products[0]])))
         return jnp.where(norm <= MOST_PARTS, lax.scan(part, x, None, length=MOST_PARTS)[0], jnp.nan)
-
-
-def _common_square(algebra: Any) -> Any:
-    """Return a matrix B, and p = 1 or 2, with D_v (D_v^2 - z)^p = 0 and z = v . B v for all v; or None."""
-    n, (i, j, k, c) = algebra.dim, algebra.triples
-    each = np.zeros((n, n, n))  # of the direction, row and column of D
-    np.add.at(each, (np.append(j, i), np.append(i, j), np.append(k, k)), np.append(c, -c))
-    traces = np.einsum("aij,bji->ab", each, each)
-    directions = np.random.default_rng(SEED).uniform(-1.0, 1.0, (3, n))
-    for count, p in product(range(2, n + 1, 2), (1, 2)):  # of nonzero eigenvalues
-        square = traces / count
-        for v in directions:
-            D, z = np.einsum("a,aij->ij", v, each), v @ square @ v
-            size = np.max(np.abs(D @ D), initial=0.0) + abs(z)
-            rest = D @ np.linalg.matrix_power(D @ D - z * np.eye(n), p)
-            if np.max(np.abs(rest), initial=0.0) > ZERO * size ** (p + 0.5):
-                break
-        else:
-            return square, p
-    return None
-
-
-def _remainder(z: Any, first: int) -> Any:
-    """Return (cosh(w) - 1)/w^2, or (sinh(w) - w)/w^3 if `first` is 1, as a function of z = w^2 of either sign."""
-    small, size = jnp.abs(z) < 1.0, jnp.abs(jnp.where(jnp.abs(z) < 1.0, 1.0, z))
-    near = jnp.where(small, z, 0.0)
-    series = jnp.zeros_like(z)
-    for k in range(SERIES, -1, -1):
-        series = series * near + 1.0 / math.factorial(2 * k + 2 + first)
-    w = jnp.sqrt(size)
-    grown = jnp.where(z > 0.0, w, 0.0)
-    if first:
-        far = jnp.where(z < 0.0, (w - jnp.sin(w)) / (w * size), (jnp.sinh(grown) - w) / (w * size))
-    else:
-        far = jnp.where(z < 0.0, 2.0 * (jnp.sin(0.5 * w) / w) ** 2, 2.0 * (jnp.sinh(0.5 * grown) / w) ** 2)
-    return jnp.where(small, series, far)
 
 
 class StageField(CoadjointAction):

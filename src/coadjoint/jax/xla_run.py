@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energies import features_of
 from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
@@ -39,6 +38,7 @@ from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.hamiltonians.parametrized_functions import (
     NAME,
     ParametrizedEnergy,
+    features_of,
     function_of,
     function_with_params,
 )
@@ -399,7 +399,7 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
     if not system.has_structure_constants:
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
-    features, factor = features_of(system)
+    features, factor = features_of(system, JaxFunction)
     if features is not None and isinstance(scheme, FlowMethod):
         if group is not None:
             raise TypeError(f"{CALLER} computes no attitudes beside energies of co.jax.features; prepare without")

@@ -16,7 +16,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
 from coadjoint.systems.system import System
 
-__all__ = ["energy", "solution"]
+__all__ = ["energy", "features", "solution"]
 
 TYPE_CHECKING = False
 
@@ -26,7 +26,7 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
 
     Use it to learn an energy in PyTorch: runs by `solution` take other ``params=`` and are differentiated by them.
     Whatever the parameters are, the motion has the quadratic Casimirs of the algebra, to rounding. `GaussLegendre`
-    takes every such energy; for explicit steps take `coadjoint.jax.features`.
+    takes every such energy; for explicit steps take `features`.
 
     Parameters
     ----------
@@ -80,6 +80,71 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
     return Hamiltonian(*(TorchFunction(made, order) for order in range(3)))
 
 
+def features(function: Callable[..., Any], directions: Any, params: Any) -> Hamiltonian:
+    """Return the energy sum_k f(<a_k, x>, w_k) of directions a_k, as a Hamiltonian at these a and w.
+
+    Use it to learn an energy by explicit steps: the flow of each feature is a coadjoint motion, on every algebra, so
+    that `Splitting` of every order is a Poisson map with all Casimirs, for every a and w. The directions are learned
+    too. Sums of such features approximate every energy.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(y, params)`` of a number y and the parameters of one feature; returns a number by operations of
+        PyTorch.
+    directions : (features, n)
+        The directions a, of float64.
+    params : tree of tensors of float64
+        The parameters w, each with a first axis of features.
+
+    Returns
+    -------
+    Hamiltonian
+        Its runs by `solution` take and differentiate ``params=(directions, params)``.
+
+    Raises
+    ------
+    ImportError
+        PyTorch is not installed; the extra is ``coadjoint[torch]``.
+    TypeError
+        As `energy`.
+    ValueError
+        Wrong shapes.
+
+    Notes
+    -----
+    Since <a, x> is constant along the flow of f(<a, x>), it is x(t) = exp(t f'(<a, x>) D) x with D x = sign J(x) a: in
+    closed form where all D have one nonzero square, elsewhere by ``torch.linalg.matrix_exp``. Each flow is a few
+    operations of PyTorch, so that JAX takes less time for long runs. Compiled loops have no such flows: `integrate`
+    takes `GaussLegendre` with this energy.
+
+    See Also
+    --------
+    energy : Energies of any form.
+    coadjoint.jax.features : The same in JAX, which compiles all steps of a run.
+
+    Examples
+    --------
+    ::
+
+        import torch
+        import coadjoint as co
+
+        directions, sizes = torch.eye(5, 6, dtype=torch.float64), torch.arange(1.0, 6.0, dtype=torch.float64)
+        H = co.torch.features(lambda y, w: w * torch.cosh(y), directions, sizes)
+        system = co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
+        run = co.torch.solution(system, (0, 1), method=co.Splitting(order=4), step=0.1)
+        x = run((0.1, 0.2, 0.3, 0.6, 0.0, 0.8), params=(directions, sizes.requires_grad_()))
+        x[-1, 0].backward()
+        sizes.grad
+    """
+    require_packages("co.torch.features", "torch")
+    from coadjoint.torch.energies import TorchFeatures, TorchFunction
+
+    made = TorchFeatures(function, (directions, params))
+    return Hamiltonian(*(TorchFunction(made, order) for order in range(3)))
+
+
 def solution(
     ready: PreparedRun | System | Batch,
     t_span: tuple[float, float],
@@ -110,8 +175,8 @@ def solution(
         A function ``g(x0, *, attitude0=None, **parameters)`` of tensors of float64 on the processor, or numbers. It
         returns the states, (k, n) for x0 of shape (n,) and (k, members, n) for (members, n); for a run prepared with an
         attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
-        and default to these values; of an energy of `energy` they are ``params``. A system with other parameters is
-        prepared in each call, and the last one is cached; other params need no preparation.
+        and default to these values; of an energy of `energy` or `features` they are ``params``. A system with other
+        parameters is prepared in each call, and the last one is cached; other params need no preparation.
 
     Raises
     ------
@@ -119,8 +184,8 @@ def solution(
         PyTorch is not installed; the extra is ``coadjoint[torch]``.
     TypeError
         The run has no derivatives; a tensor is not of float64, or on another device; a step or scheme for a prepared
-        run, or none for a system; another scheme than `GaussLegendre`, forces, batches, inputs or attitudes beside an
-        energy of `energy`; or the callable is given parameters by position.
+        run, or none for a system; another scheme than `GaussLegendre`, and `Splitting` for `features`, or forces,
+        batches, inputs or attitudes beside such an energy; or the callable is given parameters by position.
     ValueError
         For unknown names and wrong shapes; an initial state where an energy of `energy` has no derivatives.
     IntegrationError
@@ -136,7 +201,7 @@ def solution(
     See Also
     --------
     coadjoint.PreparedRun.vjp : Gradients without PyTorch.
-    coadjoint.jax.solution : Runs as functions of JAX, with explicit steps of learned energies, and long runs.
+    coadjoint.jax.solution : Runs as functions of JAX, with learned forces, and long runs.
 
     Examples
     --------

@@ -13,7 +13,7 @@ import torch
 from torch.utils import _pytree
 
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedEnergy, Trees
+from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedEnergy, ParametrizedFeatures, Trees
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.user_functions import parameters_of_function
 from coadjoint.validation import to_array
@@ -49,6 +49,17 @@ class TorchEnergy(ParametrizedEnergy):
             given = f"{found.dtype} of the shape {tuple(found.shape)}" if torch.is_tensor(found) else short(found)
             raise TypeError(f"the energy given to {self.caller} returns {given}; it must return one number of float64")
         return found.reshape(())
+
+
+class TorchFeatures(ParametrizedFeatures):
+    """An energy of features of PyTorch."""
+
+    caller, trees = "co.torch.features", TorchTrees()
+    vmap, grad = staticmethod(torch.func.vmap), staticmethod(torch.func.grad)
+
+    def __init__(self, function: Any, params: Any) -> None:
+        super().__init__(function, params)
+        self.params = _pytree.tree_map(lambda one: one.detach().clone(), self.params)
 
 
 def own_params(module: Any) -> dict[str, Any]:
@@ -96,7 +107,9 @@ class TorchFunction:
         """Return the derivative at x and t; raise TypeError for numbers of another type than float64."""
         y = np.asarray(x)
         if y.dtype == object:  # of a recorded function
-            raise TracingError("a function of PyTorch has no parts; take GaussLegendre, in co.torch.solution")
+            raise TracingError(
+                "a function of PyTorch has no parts; take GaussLegendre, or co.torch.features, in co.torch.solution"
+            )
         if y.dtype != np.float64:
             raise TypeError(f"a function of PyTorch is given numbers of {y.dtype}; its derivatives are of float64 only")
         time = time[: len(self.__signature__.parameters) - 1]  # loops always give it

@@ -1,4 +1,4 @@
-"""Runs of energies of PyTorch by implicit stages, as operations of PyTorch."""
+"""Runs of energies of PyTorch by implicit stages, or by flows of features, as operations of PyTorch."""
 
 from __future__ import annotations
 
@@ -20,14 +20,18 @@ from coadjoint.methods.numerics.solvers import (
     SAMPLES,
     STALLED,
 )
+from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
+from coadjoint.program.coadjoint_exponential import common_square, exponential
 from coadjoint.program.public_table import energy_and_parameters
+from coadjoint.program.sweeps import JoinRules, stages_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.hamiltonians.parametrized_functions import (
     NAME,
     ParametrizedEnergy,
+    features_of,
     function_of,
     function_with_params,
 )
@@ -36,6 +40,7 @@ from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 from coadjoint.torch.energies import TorchFunction, double
 
 CALLER = "co.torch.solution"
+FLOW_STATES = 16  # numbers of the size of a state that a flow of a feature stores for reverse mode
 
 
 class FixedPoint(torch.autograd.Function):  # type: ignore[misc]
@@ -142,14 +147,34 @@ class StageRun:
                 f"{CALLER} takes runs of energies with params without forces, batches, inputs and attitudes, not "
                 f"that of {system.name}; members are an axis of x0; co.jax.solution takes some of these"
             )
-        if not (isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit"):
-            raise TypeError(f"{CALLER} takes GaussLegendre for energies with params, not {prepared.method}")
+        self._features, self._factor = features_of(system, TorchFunction)
+        by_features = self._features is not None and isinstance(scheme, FlowMethod)
+        by_stages = isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit"
+        if not (by_features or by_stages):
+            raise TypeError(
+                f"{CALLER} takes GaussLegendre for energies with params, and splittings for those of "
+                f"co.torch.features, not {prepared.method}"
+            )
+        if by_features and scheme.compensates:
+            raise TypeError(f"{CALLER} has no compensated sums, as {prepared.method} wants; take compensated=False")
         self._prepared, self._function = prepared, function_with_params(system, TorchFunction)
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        tableau, self._unit = scheme.coefficients(), unit_coordinate(system)
-        # Made here, since functions of fixed points may not contain tensors that transformations of PyTorch wrap.
-        numbers = (np.array(one, dtype=np.float64) for one in (tableau.scale, tableau.node, tableau.mix))
-        self._tableau = [torch.from_numpy(one) for one in numbers]
+        self._unit = unit_coordinate(system)
+        if by_features:
+            rules = JoinRules(*np.zeros((2, len(self._function.params[0])), dtype=bool))
+            self._step, stages = self._flows_of_features, stages_of(scheme, rules, 1, float)
+            square = common_square(system.algebra)
+            self._square = None if square is None else (torch.from_numpy(square[0]), square[1])
+            rows = np.r_[slice(*stages.section[:2].tolist()), slice(*stages.section[2:4].tolist())]
+            self._flows = list(zip(stages.part[rows].tolist(), stages.coefficient[rows].tolist(), strict=True))
+            self._stored, self._guesses = len(rows) * FLOW_STATES, 0
+        else:
+            self._step, tableau = self._stages, scheme.coefficients()
+            # Made here, since functions of fixed points may not contain tensors that transformations of PyTorch wrap.
+            numbers = (np.array(one, dtype=np.float64) for one in (tableau.scale, tableau.node, tableau.mix))
+            self._tableau = [torch.from_numpy(one) for one in numbers]
+            self._guesses = len(tableau.node)
+            self._stored = self._guesses + 1
         polynomial = energy_and_parameters(system)["energy"]
         monomials = [tuple(key) for key in polynomial["monomials"]]
         degree = max(map(len, monomials), default=0)
@@ -177,8 +202,8 @@ class StageRun:
             )
         x0 = double("x0", x0)
         self._run.check({name: tuple(one.shape) for name, one in self._run.arguments(x0, attitude0, {}).items()})
-        times, stages = self._run.times, len(self._tableau[0])
-        check_available_memory(8 * times.steps * x0.numel() * (stages + 1), f"the stages of all steps, with {CALLER},")
+        stored = 8 * self._run.times.steps * x0.numel() * self._stored
+        check_available_memory(stored, f"the stages of all steps, with {CALLER},")
         known = _known_numbers(x0, *_pytree.tree_leaves(params))
         if known is not None:
             self._prepared.start(known[0])
@@ -227,9 +252,20 @@ class StageRun:
 
     def _field(self, x: Any, t: Any, params: Any) -> Any:
         """Return sign J(x) grad H(x, t)."""
-        slopes = torch.func.grad(self._energy)(x, t, params)
+        return self._product(x, torch.func.grad(self._energy)(x, t, params))
+
+    def _product(self, x: Any, u: Any) -> Any:
+        """Return sign J(x) u."""
         row, column, k, c = self._products
-        return torch.zeros_like(x).index_add(0, row, c * x[k] * slopes[column])
+        return torch.zeros_like(x).index_add(0, row, c * x[k] * u[column])
+
+    def _exponential(self, v: Any, x: Any) -> Any:
+        """Return exp(D_v) x with D_v x = sign J(x) v."""
+        if self._square is not None:
+            return exponential(torch, torch.func.grad, self._product, self._square, v, x)
+        (row, column, k, c), n = self._products, x.shape[-1]
+        entries = torch.zeros_like(x).repeat(n).index_add(0, row * n + k, c * v[column])
+        return torch.linalg.matrix_exp(entries.reshape(n, n)) @ x
 
     def _trajectory(self, x0: Any, leaves: Any, structure: Any) -> Any:
         times, moments = self._run.times, self._run.moments
@@ -237,7 +273,7 @@ class StageRun:
         lengths = np.zeros(len(marks)) if moments is None else moments.length
         outputs = {int(k): np.flatnonzero(marks == k) for k in marks}
         x, saved, starts = x0, dict[int, Any](), times.at(np.arange(times.steps + 1))
-        guess = x0.new_zeros(len(self._tableau[0]), x0.shape[-1])
+        guess = x0.new_zeros(self._guesses, x0.shape[-1])
         for k in range(int(marks[-1]) + 1):
             t = float(starts[k])
             for point in outputs.get(k, ()):
@@ -246,7 +282,18 @@ class StageRun:
                 x, guess = self._step(x, t, times.h, leaves, structure, guess)
         return torch.stack([saved[point] for point in range(len(marks))])
 
-    def _step(self, x: Any, t: float, h: float, leaves: Any, structure: Any, guess: Any) -> tuple[Any, Any]:
+    def _flows_of_features(
+        self, x: Any, t: float, h: float, leaves: Any, structure: Any, guess: Any
+    ) -> tuple[Any, Any]:
+        """Return the state after a step by flows of features, x -> exp(tau f'(<a, x>) D_a) x with D_a x = J(x) a."""
+        directions, params = _pytree.tree_unflatten(leaves, structure)
+        for feature, coefficient in self._flows:
+            own = _pytree.tree_map(lambda one, feature=feature: one[feature], params)
+            a = directions[feature]
+            x = self._exponential(self._factor * coefficient * h * self._features.angle(a @ x, own) * a, x)
+        return x, guess
+
+    def _stages(self, x: Any, t: float, h: float, leaves: Any, structure: Any, guess: Any) -> tuple[Any, Any]:
         """Return the state after a step of any length, and the changes of its stages, from a guess of these."""
         if h == 0.0:
             return x, guess

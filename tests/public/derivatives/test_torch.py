@@ -226,6 +226,69 @@ def test_states_and_gradients_of_learned_energies_are_those_of_scipy(name):
     assert abs(slope - wanted) < 1e-6 * max(1.0, abs(wanted))
 
 
+def feature(y, params):
+    return params["size"] * torch.cosh(y + params["shift"])
+
+
+def feature_params(n, count=4):
+    rng = np.random.default_rng(5)
+    own = {"size": rng.uniform(-0.5, 0.5, count), "shift": rng.uniform(-1.0, 1.0, count)}
+    return rng.uniform(-1.0, 1.0, (count, n)), own
+
+
+@pytest.mark.parametrize(
+    ("algebra", "sign", "ends"), [("so(3)", -1, (0.0, 1.0)), ("e(3)", 1, (1.5, 0.5)), ("A4,10", -1, (0.0, 1.0))]
+)
+def test_explicit_steps_of_features_are_those_of_scipy_with_every_casimir(algebra, sign, ends):
+    """States, and a slope along all parameters and x0, of a multiple; both signs, backward, from other times."""
+    algebra, rng = co.algebras.get(algebra), np.random.default_rng(11)
+    n, (directions, own) = algebra.dim, feature_params(algebra.dim)
+    x0, v, along, c = rng.uniform(0.3, 0.8, n), rng.standard_normal(n), np.cos(directions), np.cos(np.arange(n))
+    J = sign * np.array([algebra.structure_matrix(e) for e in np.eye(n)])
+
+    def end(s):
+        a, sizes = directions + s * along, own["size"] + 0.3 * s
+
+        def field(t, x):
+            return 2.0 * np.einsum("kij,k,j->i", J, x, (sizes * np.sinh(a @ x + own["shift"])) @ a)
+
+        return solve_ivp(field, ends, x0 + s * v, method="DOP853", rtol=3e-14, atol=1e-16).y[:, -1]
+
+    system = co.LiePoissonSystem(algebra, 2 * co.torch.features(feature, directions, own), sign=sign)
+    run = co.torch.solution(system, ends, 20, method=co.Splitting(order=6), step=0.05)
+
+    def weighted(s):
+        params = torch.tensor(directions) + s * torch.tensor(along), {
+            "size": torch.tensor(own["size"]) + 0.3 * s, "shift": torch.tensor(own["shift"])
+        }  # fmt: skip
+        x = run(torch.tensor(x0) + s * torch.tensor(v), params=params)[-1]
+        return torch.tensor(c) @ x, x
+
+    slope, x = torch.func.grad(weighted, has_aux=True)(torch.tensor(0.0, dtype=torch.float64))
+    np.testing.assert_allclose(x, end(0.0), rtol=0, atol=2e-8)
+    h = 3e-5
+    wanted = c @ (end(h) - end(-h)) / (2 * h)
+    assert abs(slope - wanted) < 1e-6 * max(1.0, abs(wanted))
+    for casimir in system.casimirs.values():
+        assert abs(casimir(x.numpy()) - casimir(x0)) < 1e-13 * max(1.0, abs(casimir(x0)))
+
+
+def test_features_have_ensembles_output_times_and_gradients_of_modules():
+    """The run of Gauss stages with the same energy; `vmap`, backward by directions, and times between steps."""
+    directions, own = feature_params(3)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.features(feature, directions, own), sign=-1)
+    t_eval = [0.5, 0.73, 1.49]
+    run = co.torch.solution(system, (0.5, 1.5), method=co.Splitting(order=6), step=0.05, t_eval=t_eval)
+    wanted = co.integrate(system, MANY, (0.5, 1.5), 0.05, co.GaussLegendre(4), t_eval=t_eval).x
+    many, a = torch.tensor(MANY), variable(directions)
+    np.testing.assert_allclose(run(many), wanted, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(torch.func.vmap(run, out_dims=1)(many), run(many), rtol=0, atol=1e-14)
+    params = {name: torch.tensor(one) for name, one in own.items()}
+    run(many, params=(a, params))[-1].sum().backward()
+    each = torch.func.vmap(torch.func.grad(lambda a, x0: run(x0, params=(a, params))[-1].sum()), (None, 0))
+    np.testing.assert_allclose(a.grad, each(a.detach(), many).sum(0), rtol=1e-12, atol=1e-12)
+
+
 def learned_run(**options):
     system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(modules()) + co.Quadratic(INVERSE), sign=-1)
     given = {"method": co.GaussLegendre(2), "step": 0.25, "save_every": 2, **options}
@@ -354,6 +417,14 @@ LEARNED = {
         lambda: co.torch.solution(prepared(), (0, 1), method=co.Splitting()), TypeError, ["prepared run", "omit"]
     ),
     "parts": (lambda: body(co.torch.energy(modules()), method=co.Splitting()), TypeError, ["take", "GaussLegendre"]),
+    "directions": (lambda: co.torch.features(feature, X0, {}), ValueError, ["(3,)", "(features, n)"]),
+    "axis": (lambda: co.torch.features(feature, np.eye(3), {"size": X0[:2]}), ValueError, ["['size']", "3 features"]),
+    "coordinates": (lambda: body(co.torch.features(feature, *feature_params(4))), ValueError, ["4 coordinates", "3"]),
+    "compensated": (
+        lambda: body(
+            co.torch.features(feature, *feature_params(3)), method=co.Splitting(order=4, compensated=True)
+        ), TypeError, ["compensated=False"],
+    ),
     "forces": (
         lambda: co.torch.solution(
             learned_run()[1].with_forces(co.forces.LinearDamping(0.1)), (0, 1), method=co.GaussLegendre(1), step=0.1

@@ -119,6 +119,44 @@ class ParametrizedEnergy(ParametrizedFunction):
                 )
 
 
+class ParametrizedFeatures(ParametrizedEnergy):
+    """The energy sum_k f(<a_k, x>, w_k) of directions a (features, n), and w with a first axis of features."""
+
+    counts, taken = (2,), "(y, params)"
+    vmap: ClassVar[Callable[..., Any]]
+    grad: ClassVar[Callable[..., Any]]
+
+    def __init__(self, function: Callable[..., Any], params: Any) -> None:
+        super().__init__(function, params)
+        directions, own = self.params
+        if directions.ndim != 2 or not len(directions):
+            raise ValueError(f"directions have the shape {tuple(directions.shape)}; they must be (features, n)")
+        for path, one in self.trees.module.tree_leaves_with_path(own):
+            if one.shape[:1] != directions.shape[:1]:
+                raise ValueError(
+                    f"{self.trees.name(path)} has the shape {tuple(one.shape)}; its first axis must be that of the "
+                    f"{len(directions)} features"
+                )
+
+    def at(self, params: Any, x: Any, *time: Any) -> Any:
+        directions, own = params
+        if directions.shape[1:] != x.shape:
+            raise ValueError(f"directions have {directions.shape[1]} coordinates, and states {len(x)}")
+        return self.vmap(self.function)(directions @ x, own).sum()
+
+    def angle(self, y: Any, own: Any) -> Any:
+        """Return the derivative of the function of a feature at y = <a, x>, constant along its flow."""
+        return self.grad(self.function)(y, own)
+
+
+def features_of(system: Any, kind: type[Any]) -> tuple[ParametrizedFeatures | None, float]:
+    """Return the energy of features of which that of a system is a multiple, or None, and the factor."""
+    first, *others = system.hamiltonian.terms()
+    function, factor = function_of(first, kind)
+    whole = isinstance(function, ParametrizedFeatures) and not others and len(first.coordinates) == system.dim
+    return (function if whole else None), factor
+
+
 def function_of(term: Any, kind: type[Any]) -> tuple[Any, float]:
     """Return the function that an object of this kind calls for the value of a term, or None, and its factor."""
     value, outer = without_multiples(getattr(term, "value", None))
