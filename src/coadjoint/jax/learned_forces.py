@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -65,6 +65,10 @@ class LearnedFunction:
             raise TypeError(f"a function of JAX is given numbers of {y.dtype}; its derivatives are of float64 only")
         return np.asarray(self._compiled(y, t))
 
+    def law(self) -> LearnedLaw:
+        """Return its derivatives by the state."""
+        return LearnedLaw(self)
+
     def shape(self) -> tuple[int, ...]:
         """Return the shape that the function returns; raise TypeError if JAX cannot trace it, or it is of float32."""
         learned, system = self.learned, self.system
@@ -80,6 +84,47 @@ class LearnedFunction:
         if found.dtype != np.float64:
             raise TypeError(f"{learned.what} returns numbers of {found.dtype}, not of float64{X64}")
         return tuple(found.shape)
+
+
+class LearnedLaw:
+    """The derivatives of a torque as those of a `TracedLaw`, which has no numbers that change."""
+
+    timed: ClassVar[bool] = True
+    numbers: ClassVar[NDArray[np.float64]] = np.zeros(0)
+
+    def __init__(self, torque: LearnedFunction) -> None:
+        self._torque = torque
+
+    def form(self) -> Any:
+        """Return what does not change."""
+        return None
+
+    def derivatives(self, moving: Sequence[int]) -> list[Callable[..., Any]]:
+        """Return the transposed derivative of (x, w), and the derivative of (x, v)."""
+        torque = self._torque
+
+        def at(t: Any) -> Callable[..., Any]:
+            return lambda x: torque.at(torque.learned.params, x, t)
+
+        def pulled(x: Any, w: Any, t: Any) -> Any:
+            return jax.vjp(at(t), x)[1](w)[0]
+
+        def pushed(x: Any, v: Any, t: Any) -> Any:
+            return jax.jvp(at(t), (x,), (v,))[1]
+
+        return [LearnedDerivative(jax.jit(one), torque.system.dim) for one in (pulled, pushed)]
+
+
+class LearnedDerivative:
+    """A derivative of a torque at a state and a vector beside it, (2 n,), called in Python."""
+
+    called_in_python: ClassVar[bool] = True
+
+    def __init__(self, function: Callable[..., Any], n: int) -> None:
+        self._function, self._n = function, n
+
+    def __call__(self, y: Any, t: float) -> NDArray[np.float64]:
+        return np.asarray(self._function(y[: self._n], y[self._n :], t))
 
 
 class JaxTorque(StateTorque):

@@ -127,6 +127,27 @@ def test_damping_keeps_casimirs_and_compiled_loops_call_the_same_functions():
 
 
 @pytest.mark.long
+def test_prepared_runs_with_learned_torques_are_differentiated_as_those_of_the_same_law():
+    """From a time other than zero, backward, of members and with another force; JAX has the derivatives of the torque."""
+    weights, rate = parameters(3)["in"], parameters(3)["rate"]
+
+    def law(x, t, weights):
+        return -rate * np.cos(t) * x + 0.1 * np.tanh(weights @ x)
+
+    body, x0 = co.systems.rigid_body((1.0, 2.0, 2.5)), np.array([[0.3, 1.0, 0.2], [0.5, -0.4, 0.1]])
+    forces = co.jax.torque(drag, parameters(3)), co.forces.Torque(law, arguments={"weights": weights})
+    found = []
+    for force in forces:
+        system = body.with_forces(force, co.forces.LinearDamping(0.1))
+        ready = co.prepare(system, co.Splitting(), 0.0625)
+        sol, pullback = ready.vjp(x0, (0.5, -0.5))
+        gradient = pullback(sol.x)
+        tangents = ready.jvp(x0, (0.5, -0.5), {"x0": x0[::-1], "inertia": np.ones(3)})[1]
+        found.append((gradient["x0"], gradient["inertia"], gradient["LinearDamping.rate"], tangents.x))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
+
+
 def test_torques_in_the_frame_of_a_body_are_those_of_compiled_forces():
     body = co.systems.body((1.0, 2.0, 2.5))
     x0 = body.state(angular_velocity=(0.3, 0.5, 0.1))

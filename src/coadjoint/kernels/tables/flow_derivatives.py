@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import compiled_function
+from coadjoint.kernels.functions.compiled_functions import compiled_function, python_callback
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.compiled import addresses_by_coefficients, addresses_of, as_structure
 from coadjoint.kernels.tables.field import terms_of_field
@@ -20,6 +20,7 @@ from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.coefficients import with_hamiltonian
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.hamiltonians.traced_function import TracingError
+from coadjoint.systems.user_functions import is_called_in_python
 
 Floats = NDArray[np.float64]
 NO_ADDRESSES = np.zeros(0, dtype=np.int64)
@@ -298,7 +299,9 @@ def flow_derivatives(
         size = 2 * n + (flow_table(system, j, order).kind == codes("ForceKind")["BY_FLOW"])
         sizes = ((pulled, size, n + own), (pushed, size + own, n))
         kept_laws = [
-            compiled_function(one, size, results, scalar=False, flat=True, timed=timed, what=what)
+            python_callback(one, size, results)
+            if is_called_in_python(one)
+            else compiled_function(one, size, results, scalar=False, flat=True, timed=timed, what=what)
             for one, size, results in sizes
         ]
         functions, owners = np.array([one.address for one in kept_laws], dtype=np.int64), tuple(kept_laws)

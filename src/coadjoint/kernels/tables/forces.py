@@ -40,7 +40,7 @@ from coadjoint.systems.forces.base import MEASURED, Force, Noise, SampleNoise, S
 from coadjoint.systems.forces.orbit_noise import NoiseTerms
 from coadjoint.systems.forces.random_torque import Kicks
 from coadjoint.systems.forces.torque import extrapolation_columns
-from coadjoint.systems.forces.traced_law import TracedLaw, traced_law
+from coadjoint.systems.forces.traced_law import traced_law
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.matrices.conjugation import acting_layers, adjoint_casimir, blocks_of_rows
 from coadjoint.systems.system_stacks import SystemStack, different
@@ -510,10 +510,12 @@ def flow_table(system: Any, j: int, order: int) -> ForceTable:
     return table
 
 
-def law_of_flow(system: Any, j: int, order: int) -> TracedLaw:
-    """Return the function of the flow j by its operations, of a torque or of a flow; TracingError if impossible."""
+def law_of_flow(system: Any, j: int, order: int) -> Any:
+    """Return the function of the flow j with its derivatives, a `TracedLaw` or of JAX; TracingError if impossible."""
     reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
     system.flows[j][1].describe_to(reader, system.unforced)
+    if hasattr(reader.called, "law"):
+        return reader.called.law()
     if reader.called is None or is_called_in_python(reader.called) or "deviates" in reader.arguments:
         raise TracingError("it is called in Python, or takes deviates")
     adapted, n = _adapted_arguments(reader.called, reader.arguments, system.dim, None), system.dim

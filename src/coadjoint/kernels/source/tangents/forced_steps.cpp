@@ -57,30 +57,29 @@ class ForcedSteps {
         double* const vectors = run.tangents + first * carried * n;
         double* const of_groups = run.group_tangents + first * carried * square;
         std::vector<double> moved(count * carried * n), after(count * carried * square), started_with(after), changes,
-            product(square);
+            product(square), start(n), before, along_momenta;
         begin(run);
         int64_t mark = 0;
         const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
         const auto push = [&](const FlowTime& at, int64_t b) {
             double* const state = x.data() + b * n;
-            const std::vector<double> before(state, state + n);
+            std::copy_n(state, n, start.data());
             apply(at, state);
-            flows[at.flow]->push(at, before.data(), state, vectors + b * carried * n, carried, along(b));
+            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b));
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             each_substep(run.t0 + double(k - 1) * run.h, run.h, [&](const Substep& one, double t, double h) {
                 each_flow(one, 0, run.t0 + double(k - 1) * run.h, run.h, push);
-                const std::vector<double> before = x;
+                before = x;
                 take(one, t, h);
                 std::copy_n(vectors, moved.size(), moved.data());
                 if (!shifted) std::copy_n(of_groups, after.size(), started_with.data());
                 else std::fill(started_with.begin(), started_with.end(), 0.0);
-                const ForwardRun of_step{n, square, count, carried, t, h, 0, 1, const_cast<double*>(before.data()),
+                const ForwardRun of_step{n, square, count, carried, t, h, 0, 1, before.data(),
                                          zeros.data(), started.data(), 1, &ONE_STEP, vectors, after.data(), moved.data(),
                                          started_with.data(), of_inner.data(), threads, run.apart};
                 // The vectors before the step are still needed for the factor of the shift.
-                const std::vector<double> along_momenta(shifted ? std::vector<double>(vectors, vectors + moved.size())
-                                                                : std::vector<double>());
+                if (shifted) along_momenta.assign(vectors, vectors + moved.size());
                 derivatives[one.loop](derivatives[one.loop].forward, of_step);
                 if (!shifted) {
                     std::copy_n(after.data(), after.size(), of_groups);
@@ -136,7 +135,7 @@ class ForcedSteps {
         double* const of_groups = run.group_cotangents + first * square;
         double* const by_coefficients = run.coefficients + first * all.coefficients;
         std::vector<double> of_inner(count * all.inner_coefficients), after(count * n), group_after(count * square),
-            deviations(count), through(count * n);
+            deviations(count), through(count * n), of_element(count * square);
         int64_t mark = run.marked;
         for (int64_t k = run.k1; k > run.k0; --k) {
             const double start = run.t0 + double(k - 1) * run.h;
@@ -164,7 +163,7 @@ class ForcedSteps {
                                        by_coefficients + b * all.coefficients + first_factor());
                 std::vector<double>& elements = shifted ? units() : started;
                 if (!shifted) std::copy_n(element, count * square, started.data());
-                std::vector<double> of_element(count * square);
+                std::fill(of_element.begin(), of_element.end(), 0.0);
                 const BackwardRun of_step{n, square, count, t, h, 0, 1, before, zeros.data(), elements.data(), zeros.data(), 1,
                                           &ONE_STEP, after.data(), group_after.data(), rows, of_element.data(),
                                           of_inner.data(), deviations.data(), 0, threads};
@@ -195,6 +194,10 @@ class ForcedSteps {
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<InnerDerivative> derivatives;
     std::vector<std::unique_ptr<ForceDerivative>> flows;
+    // Of the flows on a side of a substep: with the states before and after each.
+    std::vector<FlowTime> times;
+    std::vector<int64_t> members;
+    std::vector<double> passed;
     const int64_t work;
     int64_t ONE_STEP = 1;
 
@@ -238,9 +241,7 @@ class ForcedSteps {
     // Take the flows on a side again from the states before them, and pull the cotangents back.
     void pull_flows(const Substep& one, int64_t side, double start, double h, const double* from, double* rows,
                     double* by_coefficients) {
-        std::vector<FlowTime> times;
-        std::vector<int64_t> members;
-        std::vector<double> passed;  // the states before and after each
+        times.clear(), members.clear(), passed.clear();
         std::copy_n(from, count * n, x.data());
         each_flow(one, side, start, h, [&](const FlowTime& at, int64_t b) {
             times.push_back(at);
