@@ -14,6 +14,7 @@ SUBJECTS = {
         "one_trajectory": "One trajectory",
         "large_trajectories": "Large systems",
         "spins": "Spins",
+        "dipoles": "Dipoles by FFT",
         "spins_more": "Spins on other machines",
         "molecules": "Rigid molecules",
         "first_run_of_a_lattice": "First runs of lattices",
