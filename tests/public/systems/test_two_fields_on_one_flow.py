@@ -184,3 +184,32 @@ def test_the_inverse_of_a_multiple_of_a_stream():
     moved = co.stepper(s, co.IsospectralGauss(2), 2.0**-10)(X) - X
     middle = 2.0**-10 * s.vector_field(X + moved / 2)
     np.testing.assert_allclose(moved, middle, rtol=0, atol=1e-6 * np.abs(moved).max())
+
+
+LAYERS = ((3.0, -2.0, 0.0), (-2.0, 3.0, -1.0), (0.0, -1.0, 1.0))
+SEVERAL_MATRICES = {
+    "mhd": lambda unit: co.systems.reduced_mhd(N=12),
+    "mhd on the torus": lambda unit: co.systems.reduced_mhd(N=9, surface="torus"),
+    "dye": lambda unit: co.systems.passive_scalar(N=12, rotation=2.0 * unit),
+    "thermal": lambda unit: co.systems.thermal_qg(N=12, gamma=3.0, rotation=unit),
+    "layers": lambda unit: co.systems.layered_qg(N=12, gamma=LAYERS, rotation=0.5 * unit),
+    "layers on the torus": lambda unit: co.systems.layered_qg(N=9, gamma=LAYERS, surface="torus"),
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL_MATRICES)
+@pytest.mark.parametrize("unit, t0, h", [(1.0, 0.0, 0.02), (1e-3, 5.0, -0.02), (1e3, -1.0, 0.02)])
+def test_compiled_midpoint_steps_of_several_matrices_solve_the_equations_of_numpy(name, unit, t0, h, tmp_path):
+    """Twenty steps, of which each is predicted from those before it; resumed with the same bits."""
+    system, gauss, h = SEVERAL_MATRICES[name](unit), co.IsospectralGauss(), h / unit
+    fluid = getattr(co.systems, "torus_euler" if "torus" in name else "sphere_euler")(N=system.algebra.N)
+    x0 = unit * np.stack([fluid.random(seed=k, degrees=(1, 4)) for k in range(system.matrix_shape[0])])
+    sol = co.integrate(system, x0, (t0, t0 + 20 * h), abs(h), gauss)
+    x = x0
+    for k in range(20):
+        x = gauss.step(system, x, t0 + k * h, h)
+    assert np.abs((sol.x[-1] - x) / np.abs(x).max(axis=(1, 2), keepdims=True)).max() < 1e-12
+    assert max(sol.drift()[invariant] for invariant in system.quadratic_casimirs) < 1e-13
+    co.integrate(system, x0, (t0, t0 + 9 * h), abs(h), gauss, archive=tmp_path / "run.zarr")
+    co.resume(tmp_path / "run.zarr", t0 + 20 * h)
+    np.testing.assert_array_equal(np.asarray(co.load(tmp_path / "run.zarr").x)[-1], sol.x[-1])
