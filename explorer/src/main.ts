@@ -127,8 +127,9 @@ class Page {
     for (const [k, { title, hint, scene, body }] of this.cards.entries()) {
       title.textContent = app.title(app.choice.schemes[k]);
       title.className = k ? "b-text" : "a-text";
+      const seen = view.kind === "planet" ? "vorticity, and the mean eastward speed by latitude" : "orbit";
       const click = view.click === undefined ? "" : " A click sets the initial state.";
-      scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the orbit. Arrow keys turn it.${click}`);
+      scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the ${seen}. Arrow keys turn it.${click}`);
       hint.textContent = view.click === undefined ? "drag to turn" : "drag to turn · click to start";
       body.hidden = !view.body && view.kind !== "planet";
       body.classList.toggle("profile", view.kind === "planet");

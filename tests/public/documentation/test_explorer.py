@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from explorer_formulas import Formula, energy_formulas, evaluate
-from explorer_systems import SHOWN, WAVES
-from write_explorer import SCHEMES, code_of, entry, first_values, rows_of_parts, shared
+from explorer_systems import SHOWN
+from write_explorer import OF_MATRICES, SCHEMES, code_of, entry, first_values, rows_of_parts, shared
 
 import coadjoint as co
+
+VECTORS = [shown for shown in SHOWN if not shown.start]
+(PLANET,) = (shown for shown in SHOWN if shown.start)
 
 
 @pytest.fixture
@@ -23,7 +26,7 @@ def random():
     return np.random.default_rng(3)
 
 
-@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+@pytest.mark.parametrize("shown", VECTORS, ids=lambda shown: shown.name)
 def test_tables_at_other_values_are_those_of_the_library(shown, random):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -36,7 +39,7 @@ def test_tables_at_other_values_are_those_of_the_library(shown, random):
     json.dumps(shared({shown.name: written}))
 
 
-@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+@pytest.mark.parametrize("shown", VECTORS, ids=lambda shown: shown.name)
 def test_first_views_are_smooth_and_show_the_drift(shown):
     """In 20 s at a step a frame the errors of Runge-Kutta become visible, and curves have no visible corners."""
     system, x0 = shown.build(first_values(shown)), np.array(shown.x0)
@@ -66,7 +69,7 @@ def test_formulas_are_evaluated_in_the_order_of_their_operations(random):
     assert (0 * Formula("a"), Formula("a") * 0, 0 / Formula("a")) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+@pytest.mark.parametrize("shown", VECTORS, ids=lambda shown: shown.name)
 def test_formulas_of_energies_are_those_of_the_systems(shown, random):
     """By numbers with many digits, at which squares are rounded: to rounding, since the library may use fractions."""
     values = {slider.name: random.uniform(slider.low, slider.high) for slider in shown.sliders}
@@ -89,21 +92,27 @@ def test_flows_of_a_typed_algebra_are_those_of_its_splitting():
         assert np.array_equal(rows["tau"], program["coefficient"])
 
 
-@pytest.mark.parametrize("gamma", [0.0, 0.75])
-def test_the_fluid_of_modes_is_that_of_matrices(gamma):
-    (shown,) = (shown for shown in SHOWN if shown.name == "fluid_modes")
-    modes, matrices = shown.build({"a": 1.0, "g": gamma}), co.systems.torus_qg(N=3, gamma=gamma)
-    unit = 3 * np.sqrt(3) / (4 * np.pi)  # of vorticity, in which the brackets are +-1
-    x = np.random.default_rng(0).normal(size=8)
-    slope = np.zeros(8)
-    relative = [unit * (1.0 + gamma / (a * a + b * b)) for a, b in WAVES]  # of the modes, the relative vorticity
-    state = {wave: (x[2 * k] - 1j * x[2 * k + 1]) / (2 * relative[k]) for k, wave in enumerate(WAVES)}
-    found = matrices.modes(matrices.vector_field(matrices.from_modes(state)))
-    for k, (a, b) in enumerate(WAVES):
-        w = found[a, b] if (a, b) in found else np.conj(found[-a, -b])
-        slope[2 * k : 2 * k + 2] = 2 * relative[k] * w.real, -2 * relative[k] * w.imag
-    assert np.allclose(modes.vector_field(x), slope, rtol=0, atol=1e-13)
-    assert list(modes.casimirs) == ["C2", "C3"]
+def test_a_planet_has_the_modes_of_its_first_state_for_every_size(random):
+    written = entry(PLANET, random)
+    assert {name: scheme["code"] for name, scheme in written["schemes"].items()} == {
+        name: code for name, code, _ in OF_MATRICES
+    }
+    modes = {(l, m): complex(re, im) for l, m, re, im in written["modes"]}
+    for N in (16.0, 32.0, 48.0):
+        system = PLANET.build({**first_values(PLANET), "N": N, "lamb": 150.0})
+        state = system.from_modes(modes, absolute=False)
+        assert np.allclose(state, PLANET.initial(system), rtol=0, atol=1e-8 * np.abs(state).max())
+
+
+def test_the_numbers_of_a_planet_are_those_of_the_schemes(random):
+    """The page appends what depends on the sliders, and the processes of the export leave no addresses."""
+    fields = {name: scheme["fields"] for name, scheme in entry(PLANET, random)["schemes"].items()}
+    assert fields["isospectral2"]["tables.tables.coefficients"] == [0.5, 1, 0.5]
+    a, c = np.array([[3, 3 - 2 * 3**0.5], [3 + 2 * 3**0.5, 3]]) / 12, (0.5 - 3**0.5 / 6, 0.5 + 3**0.5 / 6)
+    found = fields["isospectral4"]["tables.tables.coefficients"]
+    assert np.allclose(found, [*a.ravel(), 0.5, 0.5, *c], rtol=0, atol=1e-15)
+    for stages, one in enumerate(fields.values(), 1):
+        assert one["tables.tables.whole"][6:] == [0, 0, 0, stages, 1, 0] and one["tables.step"] == [1]
 
 
 NATIVE_COMPILER = """#!/bin/sh
