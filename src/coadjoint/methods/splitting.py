@@ -131,7 +131,9 @@ class Splitting(FlowMethod):
         each isotropic coupling c z.w of two momenta is solved exactly, as a rotation of both about their sum. Couplings
         that share no momentum are one part. The total momentum is then preserved to rounding, if the couplings preserve
         it. Sets of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts. If M
-        couples coordinates that do not commute, the parts are completed squares. Monomials of degree 3 to 6 of such
+        couples coordinates that do not commute, the parts are completed squares; those of more than 16 coordinates of
+        many copies, such as spins on a lattice, have one coordinate of each copy, so that all pairs that are coupled
+        meet in a part: nine parts for any exchange matrices of neighbours that four colours separate. Monomials of degree 3 to 6 of such
         coordinates are sums of powers of linear forms, as x y^2 of those of x, x + 2 y and x - 2 y.
     compensated : bool, optional
         Whether the sums of the momentum are compensated, which reduces round-off; the default is no. (Those of the

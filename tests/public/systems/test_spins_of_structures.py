@@ -202,3 +202,28 @@ def test_large_models_of_many_bonds_have_the_parts_of_small_ones(mode):
     """2400 bonds between 160 spins."""
     described = str(co.Splitting().describe(iron_iodide((5, 8, 4), mode)))
     assert described.splitlines()[0].endswith("in 9 parts")
+
+
+def test_parts_of_general_exchange_in_batches_derivatives_and_backward():
+    """The same bits beside others, derivatives by all matrices against differences, and steps that are undone."""
+    T, D = np.random.default_rng(5).uniform(0.5, 1.0, (3, 3)), np.random.default_rng(6).standard_normal((3, 3))
+    x = np.random.default_rng(3).standard_normal((40, 3))
+    x, method = (x / np.linalg.norm(x, axis=1, keepdims=True)).ravel(), co.Splitting(order=4)
+
+    def model(s):
+        return co.systems.spin_lattice("triangular", (5, 8), periodic=True, tensor=T + s * D)
+
+    def end(s):
+        return co.integrate(model(s), x, (1, 1.5), 0.01, method).x[-1]
+
+    alone = end(0.1)
+    assert np.array_equal(co.integrate(co.batch([model(0), model(0.1)]), x, (1, 1.5), 0.01, method).x[-1, 1], alone)
+    assert np.array_equal(co.integrate(model(0.1), np.tile(x, (4, 1)), (1, 1.5), 0.01, method).x[-1, 3], alone)
+    assert np.abs(co.integrate(model(0.1), alone, (1.5, 1), 0.01, method).x[-1] - x).max() < 1e-13
+    ready = co.prepare(model(0.1), method, step=0.01)
+    tangent = ready.jvp(x, (1, 1.5), {"tensor": D})[1].x[-1]
+    np.testing.assert_allclose(tangent, (end(0.1 + 1e-5) - end(0.1 - 1e-5)) / 2e-5, atol=1e-6)
+    v = np.random.default_rng(1).standard_normal(120)
+    sol, pullback = ready.vjp(x, (1, 1.5))
+    gradient = pullback(x=np.concatenate([np.zeros((len(sol.x) - 1, 120)), v[None]]))["tensor"]
+    np.testing.assert_allclose(np.sum(gradient * D), v @ tangent, rtol=1e-10)
