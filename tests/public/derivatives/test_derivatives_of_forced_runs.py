@@ -356,12 +356,19 @@ def taken_by(name):
 REGISTERED = {name: system for name in co.forces.names() if (system := taken_by(name)) is not None}
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("place", ["alone", "before a damping", "behind a damping"])
 @pytest.mark.parametrize("name", REGISTERED)
-def test_every_registered_force_is_differentiated(name):
-    system = REGISTERED[name]
-    step = getattr(system.forces[0], "period", H)
+def test_every_registered_force_is_differentiated(name, place):
+    alone, damping = REGISTERED[name], F.LinearDamping(0.2)
+    orders = {
+        "alone": alone.forces,
+        "before a damping": (*alone.forces, damping),
+        "behind a damping": (damping, *alone.forces),
+    }
+    system = alone.unforced.with_forces(*orders[place])
+    step = getattr(alone.forces[0], "period", H)
     step = step if np.ndim(step) == 0 and np.isfinite(step) else H
 
     def drawn(rng):

@@ -126,9 +126,8 @@ def test_damping_keeps_casimirs_and_compiled_loops_call_the_same_functions():
     assert sol.balance()["energy"] < 1e-9 and sol.balance()["|x|^2"] < 1e-13
 
 
-@pytest.mark.long
 def test_prepared_runs_with_learned_torques_are_differentiated_as_those_of_the_same_law():
-    """From a time other than zero, backward, of members and with another force; JAX has the derivatives of the torque."""
+    """From a time other than zero, backward, of members and with another force: JAX has the derivatives."""
     weights, rate = parameters(3)["in"], parameters(3)["rate"]
 
     def law(x, t, weights):
@@ -148,6 +147,7 @@ def test_prepared_runs_with_learned_torques_are_differentiated_as_those_of_the_s
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
 
+@pytest.mark.long
 def test_torques_in_the_frame_of_a_body_are_those_of_compiled_forces():
     body = co.systems.body((1.0, 2.0, 2.5))
     x0 = body.state(angular_velocity=(0.3, 0.5, 0.1))

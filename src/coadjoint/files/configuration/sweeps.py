@@ -30,7 +30,7 @@ from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.base import normal_deviates, random_words
-from coadjoint.systems.forces.orbit_flow import Exponential, bracket_of
+from coadjoint.systems.forces.orbit_flow import bracket_of
 from coadjoint.validation import is_integer, is_real, read_finite, read_number
 
 BYTES_PER_MEMBER = 200  # settings and state of a member, for each key; measured, with a margin
@@ -239,4 +239,4 @@ def _move_on_orbit(system: Any, x: NDArray[np.float64], u: NDArray[np.float64]) 
     norm = np.abs(bracket.generator(u)).sum(axis=0).max(initial=0.0)
     if norm > MAX_EXPONENT:
         raise ValueError(f"orbit moves a state by exponents of size {norm:.3g}; give less than {MAX_EXPONENT}")
-    return Exponential.of(bracket, u, x).end
+    return bracket.exponential(u, x)

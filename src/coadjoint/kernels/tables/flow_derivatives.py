@@ -264,12 +264,6 @@ def _moved_flows(system: Any, j: int, entry: Any, order: int) -> tuple[float, li
     return nodes[0], found
 
 
-def _stepped_flow(system: Any, j: int, entry: Any, order: int) -> Any:
-    """Return the table of the flow j beside a vector after a complex step of an entry; None if there is none."""
-    stepped = system.flows[j][1].after_complex_step(entry.field, entry.entry)
-    return None if stepped is None else compiled_flow(system, j, order, beside=True, force=stepped)
-
-
 def flow_derivatives(
     system: Any,
     j: int,
@@ -326,10 +320,8 @@ def flow_derivatives(
         found = _moved_flows(system, j, entries[number], order)
         assert found is not None
         distances.append(found[0])
-        stepped = flow.kind == "ALONG" and flow.law is None
-        flows = [*found[1], _stepped_flow(system, j, entries[number], order) if stepped else None]
-        nearby += [None if one is None else as_structure(one[0]) for one in flows]
-        kept += [one[1] for one in flows if one is not None]
+        nearby += [as_structure(one[0]) for one in found[1]]
+        kept += [one[1] for one in found[1]]
     table = ForceDerivatives(
         kind=codes("FlowDerivative")[flow.kind],
         first=flow.first,
@@ -343,7 +335,7 @@ def flow_derivatives(
         function=function,
         depends=depends,
         moved=len(flow.moved),
-        nearby=np.array([0 if one is None else ctypes.addressof(one) for one in nearby], dtype=np.int64),
+        nearby=np.array([ctypes.addressof(one) for one in nearby], dtype=np.int64),
         distance=np.array(distances),
         numbered=np.array(flow.moved, dtype=np.int64),
     )

@@ -514,8 +514,8 @@ def law_of_flow(system: Any, j: int, order: int) -> Any:
     """Return the function of the flow j with its derivatives, a `TracedLaw` or of JAX; TracingError if impossible."""
     reader = _ForceTableBuilder(system.unforced, 0, 0, order, compiles=False)
     system.flows[j][1].describe_to(reader, system.unforced)
-    if hasattr(reader.called, "law"):
-        return reader.called.law()
+    if (known := getattr(reader.called, "law", None)) is not None:
+        return known()
     if reader.called is None or is_called_in_python(reader.called) or "deviates" in reader.arguments:
         raise TracingError("it is called in Python, or takes deviates")
     adapted, n = _adapted_arguments(reader.called, reader.arguments, system.dim, None), system.dim
@@ -523,11 +523,11 @@ def law_of_flow(system: Any, j: int, order: int) -> Any:
 
 
 def compiled_flow(
-    system: Any, j: int, order: int, beside: bool = False, force: Any = None
+    system: Any, j: int, order: int, beside: bool = False
 ) -> tuple[ForceTable, tuple[KernelFunction, ...]] | None:
     """Return the table of the flow j and its function, if it is `beside` of a state and a vector side by side.
 
-    None if the function cannot be compiled, which then must take complex numbers. `force` may have complex parameters.
+    None if the function cannot be compiled, which then must take complex numbers.
     """
     if beside and system.has_matrices:
         return None
@@ -535,7 +535,7 @@ def compiled_flow(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of functions that the user did not give
-            table: ForceTable = (force or system.flows[j][1]).describe_to(reader, system.unforced)
+            table: ForceTable = system.flows[j][1].describe_to(reader, system.unforced)
     except TypeError:
         return None
     return table, reader.keepalive

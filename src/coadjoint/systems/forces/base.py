@@ -211,10 +211,6 @@ class Force(Abstract):
             The force and the system do not match; the message names the mismatch.
         """
 
-    def after_complex_step(self, field: str, entry: int) -> Force | None:
-        """Return the force with a `COMPLEX_STEP` of an entry of a parameter; None if it takes no complex numbers."""
-        return None
-
     def on_side(self, side: int) -> Any:
         """Return the flow before (0) or after (1) a step, of forces that act around steps."""
         raise NotImplementedError(f"{self.label} acts within steps")

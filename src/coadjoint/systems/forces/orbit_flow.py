@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -31,6 +32,25 @@ class Bracket(NamedTuple):
     def product(self, x: Floats, v: Floats) -> Floats:
         """Return sign J(x) v, antisymmetric as a matrix that acts on v."""
         return np.asarray((self.c * x[self.k] * v[self.j]).sum(axis=0))
+
+    def generator(self, v: Floats) -> Floats:
+        """Return the entries of D_v, D_v x = sign J(x) v, padded."""
+        return self.c * v[self.j]
+
+    def exponential(self, v: Floats, x: Floats) -> Floats:
+        """Return exp(D_v) x by its series in substeps."""
+        D = self.generator(v)
+        norm = float(np.abs(D).sum(axis=0).max(initial=0.0))
+        substeps = max(1, math.ceil(norm))
+        for _ in range(substeps):
+            terms, bound = [x], 1.0
+            for k in range(1, MAX_TERMS):
+                terms.append((D * terms[-1][self.k]).sum(axis=0) / (k * substeps))
+                bound *= norm / (k * substeps)
+                if bound <= NEGLIGIBLE:
+                    break
+            x = x + np.array(terms)[1:].sum(axis=0)
+        return x
 
 
 def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import types
 from abc import abstractmethod
 from collections.abc import Callable
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.rounding import COMPLEX_STEP
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.angular_velocity import PER_BODY, velocities_of
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
@@ -344,17 +342,6 @@ class Torque(StateTorque):
     def function(self) -> Callable[..., Any]:
         """The function of the state and the time, with the values of the other arguments."""
         return _with_values(self.torque, self.arguments) if self.arguments else cast(Callable[..., Any], self.torque)
-
-    def after_complex_step(self, field: str, entry: int) -> Force | None:
-        outer, _, moved = field.partition(".")
-        if outer != "arguments":
-            return None
-        # All are complex, so that the function is compiled once.
-        values = {name: np.array(value, dtype=np.complex128) for name, value in self.arguments}
-        values[moved].flat[entry] += COMPLEX_STEP * 1j
-        stepped = copy.copy(self)
-        set_fields(stepped, arguments=tuple((name, as_tuples(value)) for name, value in values.items()))
-        return stepped
 
     def _arguments(self) -> str:
         """Return the arguments of the function in its order, such as "t", "x", "x, t" or "omega, A, t"."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
-from coadjoint.systems.hamiltonians.traced_function import Graph, Traced, TracingError
+from coadjoint.systems.hamiltonians.traced_function import Graph, TracingError, constant_of
 from coadjoint.systems.user_functions import first_difference
 
 Floats = NDArray[np.float64]
@@ -21,15 +21,15 @@ def _by_method(operation: str, numbers: Any) -> Any:
     """Return a function of NumPy of two arguments, of arrays of numbers and of `Traced` ones."""
 
     def apply(a: Any, b: Any) -> Any:
-        if isinstance(a, Traced):
+        if constant_of(a) is None:
             return getattr(a, operation)(b)
-        return getattr(b, operation)(a) if isinstance(b, Traced) else numbers(a, b)
+        return getattr(b, operation)(a) if constant_of(b) is None else numbers(a, b)
 
     return np.frompyfunc(apply, 2, 1)
 
 
 def _chosen(condition: Any, one: Any, other: Any) -> Any:
-    if not isinstance(condition, Traced):
+    if constant_of(condition) is not None:
         return one if condition else other
     return condition * one + (1 - condition) * other
 
@@ -56,19 +56,19 @@ class Branch(NamedTuple):
     @property
     def numbers(self) -> Floats:
         """The floats in it, in the order of their entries."""
-        return np.array([value for value in self.graph.numbers.values() if isinstance(value, float)])
+        return np.array([value for value in self.graph.numbers.values() if type(value) is float])
 
     def form(self) -> Any:
         """Return what functions with other floats have in common."""
         graph = self.graph
-        numbers = {k: value if isinstance(value, int) else None for k, value in graph.numbers.items()}
-        results = [one.index if isinstance(one, Traced) else one for one in self.results]
+        numbers = {k: value if type(value) is int else None for k, value in graph.numbers.items()}
+        results = [one.index if constant_of(one) is None else one for one in self.results]
         return graph.operations, graph.inputs, numbers, results, graph.conditions, graph.decided
 
     def entries(self, moving: Sequence[int]) -> list[int]:
         """Return the entries of some of its `numbers`; TracingError if one of them is an exponent."""
         graph = self.graph
-        floats = [k for k, value in graph.numbers.items() if isinstance(value, float)]
+        floats = [k for k, value in graph.numbers.items() if type(value) is float]
         found = [floats[number] for number in moving]
         powers = {k[1] for name, k in zip(graph.operations, graph.inputs, strict=True) if name == "pow"}
         if powers & {*found}:

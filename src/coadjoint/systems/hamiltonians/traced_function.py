@@ -360,7 +360,7 @@ def constant_of(argument: Any) -> Any:
 
 def _folded(operation: str, a: Any, b: Any) -> Any:
     """Return a sum or product with 0 or 1 without an operation, or None."""
-    if not all(one.graph.folds for one in (a, b) if isinstance(one, Traced)):
+    if not all(one.graph.folds for one in (a, b) if constant_of(one) is None):
         return None
     left, right = constant_of(a), constant_of(b)
     if operation in ("add", "sub") and right == 0:
@@ -395,7 +395,7 @@ def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], An
             if other.ndim:
                 return NotImplemented
             other = other.item()
-        if not self.graph.folds and isinstance(other, float) and math.isinf(other):
+        if not self.graph.folds and is_real(other) and math.isinf(other):
             return _beside_infinity(operation, self, other, swapped)
         other = _operand(other)
         a, b = (other, self) if swapped else (self, other)

@@ -39,10 +39,8 @@ class ForceDerivative {
         else if (table.kind == derivatives::ON_ORBIT)
             orbit.reset(new OrbitDerivative(force, tables.field, table));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
-        for (int64_t k = 0; k < TABLES * table.moved; ++k)
-            nearby.emplace_back(table.nearby[k] ? new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field,
-                                                            tables.group, SHARED, k % TABLES == NODES ? 2 * n : 0)
-                                                : nullptr);
+        for (int64_t k = 0; k < NODES * table.moved; ++k)
+            nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
@@ -68,16 +66,12 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
-        bool probed = false, steps = along && !whole;
         for (int64_t k = 0; k < table.moved; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
             if (!directed) continue;
-            // The vectors may be zero, and the tangent by a parameter moves the state within the flow.
-            if (steps && !probed) steps = !is_in_python(at, x, end, 1, [&](int64_t) { return probe(); }, [](auto...) {});
-            probed = true;
-            difference(at, x, end, k, steps);
+            difference(at, x, end, k);
             for (int64_t v = 0; v < count; ++v)
                 for (int64_t i = 0; i < n; ++i)
                     vectors[v * n + i] = fma(along[v * all.coefficients], sum[i], vectors[v * n + i]);
@@ -98,7 +92,7 @@ class ForceDerivative {
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, end, k, along && !whole);
+            difference(at, x, end, k);
             for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
         }
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
@@ -112,13 +106,12 @@ class ForceDerivative {
   private:
     static constexpr MemberConstants SHARED{1, 0};
     // Nodes on both sides, and weights, of differences of order eight.
-    static constexpr int64_t NODES = 8, TABLES = NODES + 1;
+    static constexpr int64_t NODES = 8;
     static constexpr double AT_ZERO[] = {4.0 / 5.0, -2.0 / 5.0, 4.0 / 35.0, -1.0 / 70.0};
     static constexpr double SMOOTH = 0x1p-23, ROUNDING = 0x1p-49;  // part of the change and of the state by which it is off
     static constexpr double AGREEMENT = 0x1p-20;  // of tangents and differences, as for flows in Python
     static constexpr double ONE_SIDED = 0x1p-26;  // about the square root of the unit round-off: the best accuracy
     static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
-    static constexpr double OF_ORDER_FOUR[] = {2.0 / 3.0, -2.0 / 3.0, -1.0 / 12.0, 1.0 / 12.0};
     const ForceDerivatives& table;
     Force& plain;
     const ForceTable& force;
@@ -306,14 +299,13 @@ class ForceDerivative {
         return beside.data() + n;
     }
 
-    // Set `sum` to the derivative of the flow by the moved parameter k: by a complex step if it `steps`, or of order eight,
-    // unless the value at zero that belongs to it is not that of the flow, so that nearer ones are taken in Python.
-    void difference(const FlowTime& at, const double* x, const double* end, int64_t k, bool steps) {
-        if (steps && step_aside(at, x, k)) return;
+    // Set `sum` to the derivative of the flow by the moved parameter k, of order eight, unless the value at zero that belongs
+    // to it is not that of the flow, so that nearer ones are taken in Python.
+    void difference(const FlowTime& at, const double* x, const double* end, int64_t k) {
         std::fill(sum.begin(), sum.end(), 0.0);
         beside.assign(n, 0.0);
         for (int64_t node = 0; node < NODES; ++node) {
-            move(*nearby[k * TABLES + node], at, x, moved);
+            move(*nearby[k * NODES + node], at, x, moved);
             const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
             for (int64_t i = 0; i < n; ++i) {
                 sum[i] = fma(weight, moved[i], sum[i]);
@@ -333,28 +325,6 @@ class ForceDerivative {
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
     }
 
-    // Set `sum` to the derivative by a complex step of the parameter, if the function takes one, and if its derivative agrees
-    // with a difference of order four of its values: not of flows, whose rounding is that of the state of weak forces too.
-    bool step_aside(const FlowTime& at, const double* x, int64_t k) {
-        Force* const stepped = nearby[k * TABLES + NODES].get();
-        if (!stepped) return false;
-        beside.assign(x, x + n);
-        beside.resize(2 * n, 0.0);
-        tangent.resize(2 * n);
-        stepped->call_at(beside.data(), at.t, tangent.data());
-        std::fill(sum.begin(), sum.end(), 0.0);
-        for (int64_t node = 0; node < 4; ++node) {
-            nearby[k * TABLES + node]->call_at(x, at.t, moved.data());
-            for (int64_t i = 0; i < n; ++i) sum[i] = fma(OF_ORDER_FOUR[node], moved[i], sum[i]);
-        }
-        double off = 0.0;
-        for (int64_t i = 0; i < n; ++i) off = larger(off, absolute(sum[i] - table.distance[k] * tangent[n + i]));
-        if (!(off <= AGREEMENT * size_of(sum.data()) + ROUNDING * size_of(tangent.data()))) return false;
-        if (stepped->flow(beside.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) return false;
-        std::copy_n(beside.data() + n, n, sum.data());
-        return true;
-    }
-
     void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to) {
         to.assign(x, x + n);
         if (flow.flow(to.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
@@ -362,12 +332,6 @@ class ForceDerivative {
 
     // Different ones, so that errors do not cancel.
     static double weight_of(int64_t k) { return 0.5 + double(7 * k % 11) / 11.0; }
-
-    // A vector in a generic direction.
-    const double* probe() {
-        for (int64_t i = 0; i < n; ++i) unit[i] = weight_of(i);
-        return unit.data();
-    }
 
     // Whether the function in Python differentiates the flow by the state. Otherwise, of functions, take(v, image) has got
     // the tangents of `count` vectors, by complex steps. A sum of them is compared with a difference in its direction, which

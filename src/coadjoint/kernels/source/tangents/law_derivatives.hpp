@@ -33,14 +33,10 @@ class LawDerivative {
     }
 
     void pull(const double* x, double t, double tau, double* row, double* by_coefficients) {
-        if (is_flow) {
-            begin_flow(x, tau, row);
-            derivative(0, t, found.data());
-            std::copy_n(found.data(), n, row);
-            for (int64_t c = 0; c < table.own; ++c) by_coefficients[c] += found[n + c];
-            return;
-        }
-        find(x, t, tau);
+        is_flow ? begin_flow(x, tau, row) : find(x, t, tau);
+        if (is_flow) derivative(0, t, found.data()), std::copy_n(found.data(), n, row);
+        for (int64_t c = 0; is_flow && c < table.own; ++c) by_coefficients[c] += found[n + c];
+        if (is_flow) return;
         std::copy_n(row, n, total.data());
         std::fill(change.begin(), change.end(), 0.0);  // the cotangent of the state of the stage behind
         for (int k = STAGES - 1; k >= 0; --k) {
@@ -73,9 +69,7 @@ class LawDerivative {
     }
 
     void begin_flow(const double* x, double tau, const double* vector) {
-        std::copy_n(x, n, arguments.data());
-        arguments[n] = tau;
-        std::copy_n(vector, n, arguments.data() + size);
+        std::copy_n(x, n, arguments.data()), std::copy_n(vector, n, arguments.data() + size), arguments[n] = tau;
     }
 
     // The states of the stages, as `Force::push_by_state`.

@@ -35,10 +35,8 @@ class NoiseDerivative {
             for (size_t k = 0; k < used; ++k) {
                 Part& part = *parts[k];
                 std::fill(first.begin(), first.end(), 0.0);
-                if (table.own)
-                    each_coefficient_of(part, [&](int64_t q, int64_t i, double factor) {
-                        first[i] = fma(factor, along[q], first[i]);
-                    });
+                const auto add = [&](int64_t q, int64_t i, double factor) { first[i] = fma(factor, along[q], first[i]); };
+                if (table.own) each_coefficient_of(part, add);
                 if (part.kind == IMPLICIT) {
                     std::fill(dv.begin(), dv.end(), 0.0);
                     Settling settled;
@@ -81,10 +79,10 @@ class NoiseDerivative {
             add_hessian(part, t, of_v.data(), through.data());
             if (part.kind == IMPLICIT) part.half.pull(through.data(), row.data());
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
-            if (table.own)
-                each_coefficient_of(part, [&](int64_t q, int64_t i, double factor) {
-                    by_coefficients[q] = fma(factor, of_v[i], by_coefficients[q]);
-                });
+            const auto add = [&](int64_t q, int64_t i, double factor) {
+                by_coefficients[q] = fma(factor, of_v[i], by_coefficients[q]);
+            };
+            if (table.own) each_coefficient_of(part, add);
         }
         return true;
     }
@@ -116,7 +114,6 @@ class NoiseDerivative {
     const bool of_spins;
     BrownianIncrements increments;
     const double* sums = nullptr;
-    double time = 0.0;
     std::vector<std::unique_ptr<Energy>> energies;
     std::vector<std::unique_ptr<Part>> parts;
     size_t used = 0;
@@ -126,20 +123,20 @@ class NoiseDerivative {
 
     bool find(const double* x, double t, double h, int64_t member, int64_t side) {
         sums = increments.of(t, h, member).sums.data();
-        time = t;
         used = 0;
         std::copy_n(x, n, now.data());
         for (int64_t k = 0; k < force.sets; ++k) {
             const int64_t set = side ? force.sets - 1 - k : k, flows = int64_t(force.aim[set]), b = motion_of(set);
             const int64_t count = rows[b + 1] - rows[b];
             if (!flows && !move(LINEAR, force.begin[set], force.begin[set + 1], 1.0)) return false;
-            for (int64_t k = 0; k < flows; ++k)
-                if (!move(IMPLICIT, rows[b], rows[b + 1], fraction_of(k, flows) * sums[b])) return false;
-            for (int64_t k = 0; k < -flows; ++k)
-                for (int64_t p = 0; p < 2 * count - 1; ++p) {
+            for (int64_t k = 0; k < std::abs(flows); ++k) {
+                const double size = fraction_of(k, std::abs(flows)) * sums[b];
+                if (flows > 0 && !move(IMPLICIT, rows[b], rows[b + 1], size)) return false;
+                for (int64_t p = 0; flows < 0 && p < 2 * count - 1; ++p) {
                     const int64_t q = rows[b] + (p < count ? p : 2 * count - 2 - p);
-                    if (!move(EXPLICIT, q, q + 1, (p == count - 1 ? 1.0 : 0.5) * fraction_of(k, -flows) * sums[b])) return false;
+                    if (!move(EXPLICIT, q, q + 1, (p == count - 1 ? 1.0 : 0.5) * size)) return false;
                 }
+            }
         }
         return true;
     }
@@ -178,7 +175,7 @@ class NoiseDerivative {
             }
             Energy& energy = *energies[columns[e]];
             InterruptCheck::of_this_call().after(work_of(energy.field));
-            gradient(energy.field, MemberConstants{1, 0}, part.at.data(), time, slope.data(), energy.workspace);
+            gradient(energy.field, MemberConstants{1, 0}, part.at.data(), 0.0, slope.data(), energy.workspace);
             for (int64_t i = 0; i < n; ++i) visit(e, i, part.size * slope[i]);
         }
     }

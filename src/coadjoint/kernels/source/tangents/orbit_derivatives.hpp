@@ -277,10 +277,8 @@ class OrbitDerivative {
                 half.add_move(dg.data(), middle.data(), tau, other.data());
                 direction_of(other.data(), dg.data(), tau, first.data());
                 for (int64_t i = 0; i < n; ++i) {
-                    if (!adds) first[i] += along[n + i] * one.v[i];
-                    else
-                        first[i] += along[n + i] * driven[i] + rate(i) * driven[i] * of_length[i] +
-                                    tau * along[2 * n + i] * gradients[i];
+                    first[i] += along[n + i] * (adds ? driven[i] : one.v[i]);
+                    if (adds) first[i] += rate(i) * driven[i] * of_length[i] + tau * along[2 * n + i] * gradients[i];
                 }
                 std::fill(dv.begin(), dv.end(), 0.0);
                 Settling settled;
@@ -460,10 +458,8 @@ class OrbitDerivative {
     // Set out to P y, with the gradient that is added.
     void direction_of(const double* y, const double* gradient, double tau, double* out) const {
         metric(y, out);
-        for (int64_t i = 0; adds && i < n; ++i) out[i] = fma(tau * turning(i), gradient[i], out[i]);
+        for (int64_t i = 0; adds && i < n; ++i) out[i] = fma(tau * force.turning[i], gradient[i], out[i]);
     }
-
-    double turning(int64_t i) const { return force.turning[force.shape == DIAGONAL ? i : 0]; }
 
     void metric(const double* y, double* out) const {
         for (int64_t i = 0; i < n; ++i) {
@@ -482,7 +478,7 @@ class OrbitDerivative {
         metric(of_v, other.data());  // P is symmetric
         std::fill_n(of_gradient, n, 0.0);
         half.add_of_direction(middle.data(), other.data(), tau, of_gradient);
-        for (int64_t i = 0; adds && i < n; ++i) of_gradient[i] = fma(tau * turning(i), of_v[i], of_gradient[i]);
+        for (int64_t i = 0; adds && i < n; ++i) of_gradient[i] = fma(tau * force.turning[i], of_v[i], of_gradient[i]);
         hessian(t, of_gradient, of_midpoint);
         half.add_transposed(gradients.data(), other.data(), tau, of_midpoint);
     }
