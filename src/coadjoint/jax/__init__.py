@@ -414,6 +414,11 @@ def solution(
             raise not_by_position("the function of co.jax.solution", others, [NAME] if learned else known)
         if learned and NAME in parameters and not on_xla:
             raise ValueError('params are taken by backend="xla" only; compiled loops have those of the system')
+        if NAME in parameters and not learned:
+            raise ValueError(
+                f"{ready.system.name} has no params of JAX; give co.jax.energy(function, params) as its Hamiltonian, "
+                "or co.jax.torque(function, params) as a force"
+            )
         return compute(x0, attitude0, parameters)
 
     return solution_of

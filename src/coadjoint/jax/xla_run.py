@@ -111,11 +111,6 @@ class XlaRun:
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
         """Return the states (points, n) or (points, members, n)."""
         function, rest = self._function, dict(parameters)
-        if function is None and NAME in rest:
-            raise ValueError(
-                f"{self._system.name} has no params; give co.jax.energy(function, params) as its Hamiltonian, or "
-                "co.jax.torque(function, params) as a force"
-            )
         params = None if function is None else function.checked(rest.pop(NAME, function.params))
         given = self._run.arguments(x0, attitude0, rest)
         values = doubles(given, np.complex128 if self._is_complex else np.float64)

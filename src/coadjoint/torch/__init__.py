@@ -236,7 +236,8 @@ def solution(
             raise not_by_position("the function of co.torch.solution", others, [NAME] if learned else known)
         if NAME in parameters and not learned:
             raise ValueError(
-                f"{ready.system.name} has no params; give co.torch.energy(function, params) as its Hamiltonian"
+                f"{ready.system.name} has no params of PyTorch; give co.torch.energy(function, params) as its "
+                "Hamiltonian"
             )
         return compute(x0, attitude0, parameters)
 

@@ -94,6 +94,7 @@ class TorchFunction:
     order: int
 
     called_in_python: ClassVar[bool] = True
+    automatic: ClassVar[bool] = True
 
     @property
     def __signature__(self) -> inspect.Signature:

@@ -147,34 +147,34 @@ class StageRun:
                 f"{CALLER} takes runs of energies with params without forces, batches, inputs and attitudes, not "
                 f"that of {system.name}; members are an axis of x0; co.jax.solution takes some of these"
             )
-        self._features, self._factor = features_of(system, TorchFunction)
-        by_features = self._features is not None and isinstance(scheme, FlowMethod)
-        by_stages = isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit"
-        if not (by_features or by_stages):
-            raise TypeError(
-                f"{CALLER} takes GaussLegendre for energies with params, and splittings for those of "
-                f"co.torch.features, not {prepared.method}"
-            )
-        if by_features and scheme.compensates:
-            raise TypeError(f"{CALLER} has no compensated sums, as {prepared.method} wants; take compensated=False")
         self._prepared, self._function = prepared, function_with_params(system, TorchFunction)
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        self._unit = unit_coordinate(system)
-        if by_features:
-            rules = JoinRules(*np.zeros((2, len(self._function.params[0])), dtype=bool))
+        self._unit, self._guesses = unit_coordinate(system), 0
+        features, factor = features_of(system, TorchFunction)
+        if features is not None and isinstance(scheme, FlowMethod):
+            if scheme.compensates:
+                raise TypeError(f"{CALLER} has no compensated sums, as {prepared.method} wants; take compensated=False")
+            rules = JoinRules(*np.zeros((2, len(features.params[0])), dtype=bool))
             self._step, stages = self._flows_of_features, stages_of(scheme, rules, 1, float)
+            # The first step, and the finish before output: a whole step.
+            rows = np.r_[slice(*stages.section[:2].tolist()), slice(*stages.section[2:4].tolist())]
+            lengths = factor * stages.coefficient[rows]
+            self._angle, self._flows = features.angle, list(zip(stages.part[rows].tolist(), lengths, strict=True))
             square = common_square(system.algebra)
             self._square = None if square is None else (torch.from_numpy(square[0]), square[1])
-            rows = np.r_[slice(*stages.section[:2].tolist()), slice(*stages.section[2:4].tolist())]
-            self._flows = list(zip(stages.part[rows].tolist(), stages.coefficient[rows].tolist(), strict=True))
-            self._stored, self._guesses = len(rows) * FLOW_STATES, 0
-        else:
+            self._stored = len(rows) * FLOW_STATES
+        elif isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
             self._step, tableau = self._stages, scheme.coefficients()
             # Made here, since functions of fixed points may not contain tensors that transformations of PyTorch wrap.
             numbers = (np.array(one, dtype=np.float64) for one in (tableau.scale, tableau.node, tableau.mix))
             self._tableau = [torch.from_numpy(one) for one in numbers]
             self._guesses = len(tableau.node)
             self._stored = self._guesses + 1
+        else:
+            raise TypeError(
+                f"{CALLER} takes GaussLegendre for energies with params, and splittings for those of "
+                f"co.torch.features, not {prepared.method}"
+            )
         polynomial = energy_and_parameters(system)["energy"]
         monomials = [tuple(key) for key in polynomial["monomials"]]
         degree = max(map(len, monomials), default=0)
@@ -287,10 +287,10 @@ class StageRun:
     ) -> tuple[Any, Any]:
         """Return the state after a step by flows of features, x -> exp(tau f'(<a, x>) D_a) x with D_a x = J(x) a."""
         directions, params = _pytree.tree_unflatten(leaves, structure)
-        for feature, coefficient in self._flows:
+        for feature, length in self._flows:
             own = _pytree.tree_map(lambda one, feature=feature: one[feature], params)
             a = directions[feature]
-            x = self._exponential(self._factor * coefficient * h * self._features.angle(a @ x, own) * a, x)
+            x = self._exponential(float(length) * h * self._angle(a @ x, own) * a, x)
         return x, guess
 
     def _stages(self, x: Any, t: float, h: float, leaves: Any, structure: Any, guess: Any) -> tuple[Any, Any]:

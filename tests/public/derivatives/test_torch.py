@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import coadjoint as co
 from refusals import refused
@@ -385,6 +386,17 @@ def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
     np.testing.assert_allclose(found, co.integrate(system, MANY, (0, 1), **arguments).x, rtol=0, atol=allowed)
 
 
+def test_automatic_derivatives_are_not_judged_by_differences():
+    """The slopes of saturated units, 1 - tanh^2, have few digits, and so do differences of them."""
+    w = {"in": np.ones((4, 3)), "out": np.ones(4)}
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(lambda x, p: p["out"] @ torch.tanh(p["in"] @ x), w))
+    x0 = np.array([0.3, -0.2, 0.1])
+    rate = 4.0 / np.cosh(x0.sum()) ** 2  # a turn about (1, 1, 1), of the angle rate * sqrt(3) in a unit of time
+    x = co.torch.solution(system, (0, 1), method=co.GaussLegendre(4), step=0.025)(x0)[-1]
+    axis = np.cross(np.ones(3), np.eye(3)).T * rate
+    np.testing.assert_allclose(x, expm(axis) @ x0, rtol=0, atol=1e-12)
+
+
 def body(H, **options):
     return co.torch.solution(
         co.LiePoissonSystem(co.algebras.so(3), H), (0, 1), **{"method": co.GaussLegendre(1), "step": 0.1, **options}
@@ -420,6 +432,17 @@ LEARNED = {
     "directions": (lambda: co.torch.features(feature, X0, {}), ValueError, ["(3,)", "(features, n)"]),
     "axis": (lambda: co.torch.features(feature, np.eye(3), {"size": X0[:2]}), ValueError, ["['size']", "3 features"]),
     "coordinates": (lambda: body(co.torch.features(feature, *feature_params(4))), ValueError, ["4 coordinates", "3"]),
+    "two numbers": (
+        lambda: body(co.torch.features(lambda y, p: torch.stack([y, y]), np.eye(3), {})), ValueError, ["(2,)", "number"]
+    ),
+    "module of features": (
+        lambda: co.torch.features(torch.nn.Linear(1, 1), np.eye(3), {}), TypeError, ["Linear", "f(y, params)"]
+    ),
+    "energy of JAX": (
+        lambda: co.torch.solution(co.systems.rigid_body(INERTIA), (0, 1), method=co.Splitting(), step=0.1)(
+            X0, params={}
+        ), ValueError, ["params of PyTorch", "co.torch.energy"],
+    ),
     "compensated": (
         lambda: body(
             co.torch.features(feature, *feature_params(3)), method=co.Splitting(order=4, compensated=True)

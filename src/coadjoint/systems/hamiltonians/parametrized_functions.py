@@ -74,9 +74,9 @@ class ParametrizedFunction:
         """Return the arguments at fixed params, which are the second one of the function."""
         library = self.trees.library
         if not callable(function) or is_of_torch(function):
-            hint = "; a module of PyTorch is no function of JAX" if is_of_torch(function) else ""
+            hint = "; a module of PyTorch is no such function" if is_of_torch(function) else ""
             raise TypeError(
-                f"{self.caller} was given {short(function)}{hint}; give a function {self.symbol}(x, params) of "
+                f"{self.caller} was given {short(function)}{hint}; give a function {self.symbol}{self.taken} of "
                 f"{library}"
             )
         names = [one.name for one in parameters_of_function(function)]
@@ -122,7 +122,7 @@ class ParametrizedEnergy(ParametrizedFunction):
 class ParametrizedFeatures(ParametrizedEnergy):
     """The energy sum_k f(<a_k, x>, w_k) of directions a (features, n), and w with a first axis of features."""
 
-    counts, taken = (2,), "(y, params)"
+    symbol, counts, taken = "f", (2,), "(y, params)"
     vmap: ClassVar[Callable[..., Any]]
     grad: ClassVar[Callable[..., Any]]
 
@@ -142,7 +142,13 @@ class ParametrizedFeatures(ParametrizedEnergy):
         directions, own = params
         if directions.shape[1:] != x.shape:
             raise ValueError(f"directions have {directions.shape[1]} coordinates, and states {len(x)}")
-        return self.vmap(self.function)(directions @ x, own).sum()
+        values = self.vmap(self.function)(directions @ x, own)
+        if values.shape != directions.shape[:1] or str(values.dtype).rpartition(".")[2] != "float64":
+            raise TypeError(
+                f"the function given to {self.caller} returns {values.dtype} of the shape {tuple(values.shape[1:])}; "
+                "it must return one number of float64"
+            )
+        return values.sum()
 
     def angle(self, y: Any, own: Any) -> Any:
         """Return the derivative of the function of a feature at y = <a, x>, constant along its flow."""

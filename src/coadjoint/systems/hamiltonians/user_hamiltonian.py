@@ -43,6 +43,7 @@ class JaxFunction:
     timed: bool
 
     called_in_python: ClassVar[bool] = True
+    automatic: ClassVar[bool] = True
 
     @cached_property
     def compiled(self) -> Callable[..., Any]:
