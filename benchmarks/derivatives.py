@@ -1,18 +1,21 @@
 """What do derivatives of runs cost? Gradients, tangents and steps, beside the same run or step without them.
 
     python benchmarks/derivatives.py [--steps N] [--rounds N]
-    python benchmarks/derivatives.py --forces [--steps N] [--rounds N]
+    python benchmarks/derivatives.py --forces [NAME ...] [--steps N] [--rounds N]
     python benchmarks/derivatives.py --lattice 200 [--threads 1 2] [--rounds N]
 
 Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
-by the initial state and all parameters; its time contains the run. With --forces, runs with forces and attitudes, one
-and an ensemble. With --lattice, those of one square lattice of spins in turns on each number of threads.
+by the initial state and all parameters; its time contains the run. With --forces, runs with each registered force, or
+those named, by processor time. With --lattice, those of one square lattice of spins in turns on each number of threads.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
+from time import process_time
 
 import numpy as np
 from lyapunov import best
@@ -59,41 +62,71 @@ def speed_limit(x, t, drag):
     return -drag * x * (x @ x)
 
 
-def of_forces(steps: int, rounds: int) -> None:
-    """Print the times of derivatives of runs with forces and attitudes in those of the runs, of one and 256 members."""
-    F = co.forces
-    forces = {
-        "none": (),
-        "damping": (F.LinearDamping(0.1),),
-        "constant torque": (F.Torque((0.1, 0.2, 0.3)),),
-        "function of time": (F.Torque(lambda t: np.array([np.sin(t), np.cos(t), 0.0])),),
-        "function of the state": (F.Torque(speed_limit, arguments={"drag": 0.1}),),
-        "double bracket": (F.DoubleBracketDamping(0.1),),
-        "heat bath": (F.HeatBath(0.1, temperature=0.5, seed=7),),
+def friction(x, t, tau):
+    """Return the flow of a force of one's own."""
+    return x / (1.0 + 0.1 * tau * x * x)
+
+
+def systems_with_forces() -> Iterator[tuple[str, str, object, np.ndarray, bool]]:
+    """Yield each registered force on a body without and with its attitude, on a satellite with wheels and gyros, and on
+    a chain of 16 spins, where it acts: the names, the system, a state, and whether with the attitude.
+    """
+    own = {"Torque": {"torque": speed_limit, "arguments": {"drag": 0.1}}, "OwnForce": {"function": friction}}
+    spins = np.random.default_rng(1).standard_normal((16, 3))
+    gyros = np.eye(3)[[(0, 1), (1, 2), (2, 0)]]
+    bases = {
+        "body": co.systems.rigid_body((1.0, 2.0, 2.5)),
+        "satellite": co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3), gyros=gyros),
+        "spins": co.systems.spin_lattice("chain", 16),
     }
-    body, x0 = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), np.array([0.3, 1.0, 0.2])
-    print(f"{'forces':24s}members  us/step  tangent  {DIRECTIONS} tangents  gradient")
-    for name, own in forces.items():
-        ready = co.prepare(body.with_forces(*own) if own else body, co.Splitting(), 0.01, attitude=True, threads=1)
-        for members in (1, 256):
-            count = max(50, steps // (10 * members))
-            start = x0 if members == 1 else np.outer(np.linspace(0.5, 1.5, members), x0)
-            span = (0.0, 0.01 * count)
+    for name in co.forces.names():
+        kind = getattr(co.forces, name)
+        for label, base in bases.items():
+            with suppress(TypeError, ValueError):  # forces that do not act on it
+                system = base.with_forces(kind(**own.get(name, kind.example)))
+                if label == "satellite" and name not in own:
+                    yield name, label, system, system.state(angular_velocity=(0.2, -0.1, 0.3)), False
+                elif label == "spins":
+                    yield name, label, system, (spins / np.linalg.norm(spins, axis=1)[:, None]).ravel(), False
+                elif label == "body":
+                    yield name, label, system, np.array([0.3, 1.0, 0.2]), False
+                    if not any(force.around_steps for force in system.forces):
+                        yield name, "body, attitude", system, np.array([0.3, 1.0, 0.2]), True
 
-            def run(ready=ready, start=start, span=span, count=count):
-                ready.run(start, span, save_every=count)
 
-            def tangents(directions, ready=ready, start=start, span=span, count=count):
-                ready.jvp(start, span, {"x0": np.ones((*start.shape, directions))}, save_every=count)
+def of_forces(steps: int, rounds: int, wanted: list[str]) -> None:
+    """Print processor times of derivatives of runs with each force in those of the runs, and, for 256 members, the time
+    of a gradient for each member in that of one.
+    """
+    print(f"{'force':22s}{'system':16s}us/step  tangent  {DIRECTIONS} tangents  gradient  member of 256 : one")
+    for name, label, system, x0, attitude in systems_with_forces():
+        if wanted and name not in wanted:
+            continue
+        ready = co.prepare(system, co.Splitting(), 2.0**-6, attitude=attitude, threads=1)
 
-            def gradient(ready=ready, start=start, span=span, count=count):
-                sol, pullback = ready.vjp(start, span, save_every=count)
-                pullback(x=np.ones(sol.x.shape), attitude=np.ones(sol.attitude.shape))
+        def run(start, count, ready=ready):
+            ready.run(start, (0.0, count * 2.0**-6), save_every=count)
 
-            times = best(rounds, run, partial(tangents, 1), partial(tangents, DIRECTIONS), gradient)
-            row = f"{name:24s}{members:7d}{1e6 * times[0] / (count * members):9.2f}"
-            ratios = zip(times[1:], (9, 12, 10), strict=True)
-            print(row + "".join(f"{one / times[0]:{width}.1f}" for one, width in ratios), flush=True)
+        def tangents(start, count, directions, ready=ready):
+            along = {"x0": np.ones((*start.shape, directions))}
+            ready.jvp(start, (0.0, count * 2.0**-6), along, save_every=count)
+
+        def gradient(start, count, ready=ready):
+            sol, pullback = ready.vjp(start, (0.0, count * 2.0**-6), save_every=count)
+            pullback(x=np.ones(sol.x.shape), attitude=None if sol.attitude is None else np.ones(sol.attitude.shape))
+
+        gradient(x0, 8)
+        (few,) = best(1, partial(gradient, x0, 16), clock=process_time)
+        count = int(min(steps, max(8, 16 * 0.1 / few)))
+        many, fewer = np.tile(x0, (256, 1)), max(8, count // 64)
+        calls = [partial(run, x0, count), partial(tangents, x0, count, 1), partial(tangents, x0, count, DIRECTIONS)]
+        plain, one, several, by_gradient = best(rounds, *calls, partial(gradient, x0, count), clock=process_time)
+        (together,) = (
+            best(min(rounds, 2), partial(gradient, many, fewer), clock=process_time) if few < 0.1 else (np.nan,)
+        )
+        ratio = together / (256 * fewer) / (by_gradient / count)
+        row = f"{name:22s}{label:16s}{1e6 * plain / count:7.2f}{one / plain:9.1f}{several / plain:12.1f}"
+        print(row + f"{by_gradient / plain:10.1f}{ratio:15.2f}", flush=True)
 
 
 def of_lattice(side: int, threads: list[int], rounds: int) -> None:
@@ -138,15 +171,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--forces", action="store_true", help="runs with forces and attitudes")
+    parser.add_argument("--forces", nargs="*", metavar="NAME", help="runs with each force, or those named")
     parser.add_argument("--lattice", type=int, metavar="SIDE", help="spins on a side of a square lattice")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="with --lattice")
     given = parser.parse_args()
     if given.lattice:
         of_lattice(given.lattice, given.threads, given.rounds)
         return
-    if given.forces:
-        of_forces(given.steps, given.rounds)
+    if given.forces is not None:
+        of_forces(min(given.steps, 5000), given.rounds, given.forces)
         return
     print(f"{'system':16s}{'scheme':30s}{'ns/step':>9s}  gradient  {DIRECTIONS} tangents  step (us)  tangent of it")
     for name, (system, x0, methods, attitude) in cases().items():

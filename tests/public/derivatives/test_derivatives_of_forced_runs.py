@@ -253,6 +253,18 @@ def test_functions_that_take_no_complex_numbers_are_differentiated_by_difference
     assert_derivatives(acting(BODY, force), co.Splitting(), X3, (0.5, 0.5 + 3 * H), H, attitude=True, error=2.0**-28)
 
 
+def test_a_law_with_the_length_of_a_vector_that_vanishes_is_differentiated():
+    """Quadratic drag on a body at rest: its derivative is zero, although that of the length is not defined."""
+    for law in (lambda x: -0.3 * np.sqrt(x @ x) * x, lambda x: -0.3 * (x @ x) ** 0.5 * x):
+        ready = co.prepare(BODY.with_forces(F.Torque(law)), co.Splitting(), H)
+        sol, pullback = ready.vjp(np.zeros(3), (0.0, 4 * H))
+        weights = np.zeros_like(sol.x)
+        weights[-1] = X3
+        np.testing.assert_allclose(pullback(weights)["x0"], X3, rtol=0, atol=1e-12)
+        tangents = ready.jvp(np.zeros(3), (0.0, 4 * H), {"x0": X3})[1]
+        np.testing.assert_allclose(tangents.x[-1], X3, rtol=0, atol=1e-12)
+
+
 def size_of_gain(x, gain, factors):
     return -np.abs(gain) * factors * x
 

@@ -29,9 +29,7 @@ def _by_method(operation: str, numbers: Any) -> Any:
 
 
 def _chosen(condition: Any, one: Any, other: Any) -> Any:
-    if constant_of(condition) is not None:
-        return one if condition else other
-    return condition * one + (1 - condition) * other
+    return one if condition else other  # a branch: the other value may be infinite
 
 
 def _with_sign(size: Any, sign: Any) -> Any:

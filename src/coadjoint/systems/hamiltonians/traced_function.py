@@ -48,7 +48,7 @@ UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "log1p": lambda x, y: 1 / (1 + x),
     "log2": lambda x, y: 1 / (x * math.log(2.0)),
     "log10": lambda x, y: 1 / (x * math.log(10.0)),
-    "sqrt": lambda x, y: 0.5 / y,
+    "sqrt": lambda x, y: 0.5 / _nonzero(y),
     "cbrt": lambda x, y: 1 / (3 * y * y),
     "abs": lambda x, y: x.sign(),
     "sign": lambda x, y: 0,
@@ -62,8 +62,8 @@ BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
     "mul": ("({} * {})", lambda a, b, y: (b, a)),
     "div": ("({} / {})", lambda a, b, y: (1 / b, -y / b)),
     "pow": ("({} ** {})", lambda a, b, y: _slopes_of_power(a, b, y)),
-    "arctan2": ("np.arctan2({}, {})", lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b))),
-    "hypot": ("np.hypot({}, {})", lambda a, b, y: (a / y, b / y)),
+    "arctan2": ("np.arctan2({}, {})", lambda a, b, y: _slopes_of_angle(a, b)),
+    "hypot": ("np.hypot({}, {})", lambda a, b, y: (a / _nonzero(y), b / _nonzero(y))),
     "maximum": ("np.maximum({}, {})", lambda a, b, y: (0.5 + 0.5 * (a - b).sign(), 0.5 - 0.5 * (a - b).sign())),
     "minimum": ("np.minimum({}, {})", lambda a, b, y: (0.5 - 0.5 * (a - b).sign(), 0.5 + 0.5 * (a - b).sign())),
     "greater": ("(1.0 if {} > {} else 0.0)", lambda a, b, y: (0, 0)),
@@ -93,7 +93,19 @@ class TracingError(TypeError):
     """A function does more with its argument than arithmetic and functions of NumPy."""
 
 
+def _nonzero(divisor: Any) -> Any:
+    """Return a divisor, 1 in place of 0 in functions that may have kinks, such as lengths of vectors."""
+    return divisor + (divisor == 0.0) if constant_of(divisor) is None and divisor.graph.kinks else divisor
+
+
+def _slopes_of_angle(a: Any, b: Any) -> tuple[Any, Any]:
+    square = _nonzero(a * a + b * b)
+    return b / square, -a / square
+
+
 def _slopes_of_power(base: Any, exponent: Any, value: Any) -> tuple[Any, Any]:
+    if constant_of(exponent) is not None and exponent < 1 and base.graph.kinks:
+        return exponent * value / _nonzero(base), 0
     if constant_of(exponent) is not None:
         return exponent * (base ** (exponent - 1) if exponent != 1 else 1), 0
     slope = exponent * base ** (exponent - 1)
@@ -110,7 +122,7 @@ class Graph:
     # mean of those on both sides, and branches: conditions have the outcomes that are `decided`, and are false beyond.
 
     def __init__(self, n: int, timed: bool, constants: Sequence[float] = (), folds: bool = True) -> None:
-        self.folds = folds
+        self.folds, self.kinks = folds, not folds
         self.decided: list[bool] = []
         self.conditions: list[int] = []  # entries that are tested
         self.operations: list[str] = []
@@ -416,7 +428,7 @@ def _with_kink(operation: str, refusal: str, swapped: bool = False) -> Callable[
     apply: Any = _unary(operation) if operation in UNARY else _binary(operation, swapped)
 
     def apply_to_law(self: Traced, *others: Any) -> Any:
-        if self.graph.folds:
+        if not self.graph.kinks:
             raise TracingError(refusal)
         return apply(self, *others)
 
@@ -460,7 +472,7 @@ class Traced:
     __floor__ = _with_kink("floor", CONVERTS)
 
     def __bool__(self) -> bool:
-        if self.graph.folds:
+        if not self.graph.kinks:
             raise TracingError(COMPARES)
         return self.graph.outcome(self)
 
