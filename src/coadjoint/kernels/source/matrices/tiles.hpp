@@ -78,7 +78,12 @@ template <class T>
 struct Tile {
     typedef typename RealType<T>::type Real;
     static constexpr int PARTS = sizeof(T) / sizeof(Real);
-    Row<Real> row[PARTS][TILE] = {};
+    Row<Real> row[PARTS][TILE];
+
+    // Zero rows beyond those of a range at the edge of a matrix, before others are loaded.
+    void clear(const TileRange& range) {
+        if (range.rows < TILE) set([](int, int) { return Row<Real>{}; });
+    }
 
     // Set each row to value(part, row).
     template <class Value>
@@ -151,6 +156,7 @@ struct Tile {
 
 template <class T>
 inline void load(const TileRange& range, const Planes<T>& from, Tile<T>& to) {
+    to.clear(range);
     for (int p = 0; p < Tile<T>::PARTS; ++p)
         range.each_row([&](int i, int64_t e, int count) { to.row[p][i] = load_row(from.plane[p] + e, count); });
 }
@@ -158,6 +164,7 @@ inline void load(const TileRange& range, const Planes<T>& from, Tile<T>& to) {
 // Load products of planes, of two matrices or with `adjoint` of one by the adjoint of the other.
 template <class T>
 inline void load_product(const TileRange& range, const Planes<T>& from, Tile<T>& to, bool adjoint = false) {
+    to.clear(range);
     range.each_row([&](int i, int64_t e, int count) {
         const auto first = load_row(from.plane[0] + e, count);
         if constexpr (Tile<T>::PARTS == 1) {
@@ -210,6 +217,7 @@ inline void store_packed(const TileRange& range, const Tile<T>& from, double* to
 // are not used.
 template <class T>
 inline void load_packed(const TileRange& range, const typename RealType<T>::type* from, Tile<T>& to) {
+    to.clear(range);
     range.each_row([&](int i, int64_t, int count) {
         to.load(i, from + Tile<T>::PARTS * packed_index(range.n, range.row + i, range.column), count);
     });
