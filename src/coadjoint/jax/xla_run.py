@@ -395,6 +395,8 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
     features, factor = features_of(system, JaxFunction)
+    if isinstance(scheme, FlowMethod) and scheme.compensates:
+        raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
     if features is not None and isinstance(scheme, FlowMethod):
         if group is not None:
             raise TypeError(f"{CALLER} computes no attitudes beside energies of co.jax.features; prepare without")
@@ -407,8 +409,6 @@ def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mappi
         raise TypeError(
             f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {method}; take backend="compiled"'
         )
-    if scheme.compensates:
-        raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
     flow_table = scheme.flow_table(system, group=group)
     table = flow_table.to_mapping()
     return table_steps(table, flow_table.functions, *_of_group(flow_table, group)), table

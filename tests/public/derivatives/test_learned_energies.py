@@ -339,6 +339,12 @@ DIRECTIONS = np.eye(2, 3)
 REMEDIES = ["no parts; ", "co.jax.features", "SplitHamiltonian", "GaussLegendre"]
 LEARNED = {
     "params, x": (lambda: co.jax.energy(lambda params, x: x[0], {}), TypeError, ["(x, params)", "this order"]),
+    "compensated": (
+        lambda: co.jax.solution(
+            co.LiePoissonSystem(get("so(3)"), co.jax.features(lambda y, w: w * y, DIRECTIONS, np.ones(2))),
+            (0, 1), method=co.Splitting(order=4, compensated=True), step=0.1,
+        ), TypeError, ["compensated=False"],
+    ),
     "no function": (lambda: co.jax.energy(3.0, {}), TypeError, ["3.0", "H(x, params)"]),
     "text": (lambda: co.jax.energy(network, {"in": "abc"}), TypeError, ["params['in']", "abc", "arrays"]),
     "function": (lambda: co.jax.energy(network, {"in": [np.tanh]}), TypeError, ["params['in'][0]", "tanh"]),
