@@ -54,6 +54,14 @@ def filled(x, t, gain, power, none):
     return 1.0 * found
 
 
+def in_branches(x, t, early, late, bound):
+    if t < 0.4:
+        return -early * x * np.abs(x)
+    if t < 0.6 and x[0] < np.inf:
+        return -late * np.maximum(x, 0.5 * x[0])
+    return early * x if x[1] > bound else np.copysign(np.minimum(late * x, np.inf), -x)
+
+
 # Of systems whose energies are shifted if they have an attitude: forces, a scheme, and a number of members.
 CASES = {
     "one rate": (BODY, (F.LinearDamping(0.3),), co.Splitting(), 1),
@@ -69,6 +77,12 @@ CASES = {
         (F.Torque(filled, arguments={"gain": 1.0, "power": 1.0, "none": 0.0}), F.LinearDamping(0.1)),
         co.Splitting(),
         2,
+    ),
+    "law with branches": (
+        BODY,
+        (F.Torque(in_branches, arguments={"early": 0.3, "late": 0.2, "bound": 0.5}),),
+        co.Splitting(order=4),
+        1,
     ),
     "given flow": (BODY, (F.OwnForce(lambda x, t, tau: x / (1.0 + 0.2 * tau * x * x)),), co.Splitting(), 2),
     "double bracket": (BODY, (F.DoubleBracketDamping(0.4, (0.5, 1.0, 2.0)),), co.Splitting(order=4), 1),
