@@ -28,7 +28,7 @@ MAXIMA: dict[str, int] = {
     "calls by text": 10,  # `sol.to_ovf` writes files
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
-    "C++ lines": 26_500,  # forces as lanes, their derivatives, Newton steps of several fields, dipoles, planets in a browser
+    "C++ lines": 26_500,  # forces as lanes, their derivatives, Newton steps of several fields, dipoles, planets
     "test lines": 88_500,  # with what they test
     "test files that import internals": 80,
 }
