@@ -133,8 +133,9 @@ class Splitting(FlowMethod):
         it. Sets of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts. If M
         couples coordinates that do not commute, the parts are completed squares; those of more than 16 coordinates of
         many copies, such as spins on a lattice, have one coordinate of each copy, so that all pairs that are coupled
-        meet in a part: nine parts for any exchange matrices of neighbours that four colours separate. Monomials of degree 3 to 6 of such
-        coordinates are sums of powers of linear forms, as x y^2 of those of x, x + 2 y and x - 2 y.
+        meet in a part: nine parts for any exchange matrices of neighbours that four colours separate. Monomials of
+        degree 3 to 6 of such coordinates are sums of powers of linear forms, as x y^2 of those of x, x + 2 y and x - 2
+        y.
     compensated : bool, optional
         Whether the sums of the momentum are compensated, which reduces round-off; the default is no. (Those of the
         group element always are.) After 10^7 steps of 0.1, the errors of the Casimirs of a rigid body, a heavy top and
