@@ -178,6 +178,25 @@ def test_derivatives_by_constants_by_name(name, change, method):
     np.testing.assert_allclose(gradient, end @ found, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
+def test_derivatives_by_constants_of_twisted_lattices():
+    """By central differences, as above, of a ring of three spins, of which one bond crosses the twisted end."""
+    x, h, names = start(3), 1e-4, ("biquadratic 1", "B40 Mn 0")
+
+    def twisted(K, B40):
+        ring = co.systems.spins(TETRAGONAL, (3, 1, 1), spin=S, periodic=(True, False, False), twist=(1.0, 0, 0))
+        return ring.exchange(BOND, J).biquadratic(BOND, K).single_ion("Mn", {"B40": B40})
+
+    ready = co.prepare(twisted(K, 0.02), co.GaussLegendre(2), step=0.005)
+    for name, change in zip(names, np.eye(2) * h, strict=True):
+        found = ready.jvp(x, (0, 0.5), {name: 1.0})[1].x[-1]
+        up, down = (
+            co.integrate(twisted(*((K, 0.02) + s * change)), x, (0, 0.5), 0.005, co.GaussLegendre(2)).x[-1]
+            for s in (1, -1)
+        )
+        expected = (up - down) / (2 * h)
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
 def test_constants_are_fitted_by_name():
     """Exact data are fitted to round-off; coefficients that symmetry ties have derivatives together."""
     x0, method = start(3), co.Splitting(order=4)
