@@ -220,6 +220,18 @@ def test_constants_are_fitted_by_name():
     np.testing.assert_allclose(moved, (ends[0] - ends[1]) / 2e-5, atol=1e-7)
 
 
+def test_fitted_coefficients_are_not_forgotten_for_declared_constants():
+    """A pair in a field that was fitted is no longer that of its declaration, from which constants build models."""
+    x0, method = start(2), co.GaussLegendre(2)
+    pair = co.systems.spins(TETRAGONAL, (2, 1, 1), spin=S, periodic=False).exchange(BOND, J).biquadratic(BOND, K)
+    measured = {"x": co.integrate(pair.field(1.1 * B), x0, (0, 0.2), 0.01, method, save_every=5).x}
+    ready = co.prepare(pair.field(B), method, step=0.01)
+    found = co.fit(ready, x0, (0, 0.2), measured, {"linear": True}, sigma={"x": 0.01}, save_every=5)
+    np.testing.assert_allclose(found.values["linear"], np.tile(-2.2 * S * B, 2), rtol=1e-9)
+    assert "biquadratic 1" in ready.parameters
+    assert set(co.prepare(found.solution.system, method, step=0.01).parameters) == {"M", "linear", "coefficients"}
+
+
 def test_vacancies_and_substituted_ions():
     """Ions of another length have their energies: K S_i^2 S_j^2, and B_lm S^l of each degree."""
     full = co.systems.spins(TETRAGONAL, (4, 3, 1), spin=S, periodic=False).biquadratic(BOND, K)
