@@ -165,6 +165,18 @@ def test_noise_and_damping_of_spins_take_bounded_work():
         pullback(np.ones(sol.x.shape))
 
 
+def test_arguments_that_enter_by_arithmetic_of_the_law_have_differences():
+    """Of x' = -gain^3 x on a round body, -3 gain^2 t exp(-gain^3 t) x0; by a gain that is a factor, they are exact."""
+    base, exact = co.systems.rigid_body((1.0, 1.0, 1.0)), -3 * 0.3**2 * np.exp(-(0.3**3)) * X3
+    torques = (lambda x, t, gain: -gain * x), (lambda x, t, gain: -(gain**3) * x)
+    for torque, gain, rule in zip(torques, (0.3**3, 0.3), ("exact", "differences"), strict=True):
+        ready = co.prepare(base.with_forces(F.Torque(torque, arguments={"gain": gain})), co.Splitting(), H)
+        tangents = ready.jvp(X3, (0.0, 1.0), {"Torque.arguments.gain": 1.0})[1]
+        assert tangents.rule == {"Torque.arguments.gain": rule}
+        scale = 1.0 if rule == "differences" else 1 / (3 * 0.3**2)
+        np.testing.assert_allclose(tangents.x[-1], scale * exact, rtol=1e-9)
+
+
 NOISES_OF_MEMBERS = {
     "random field": (RING, F.RandomField(0.5, seed=1), co.SphericalMidpoint()),
     "spins in a bath": (RING, F.Gilbert(0.3, temperature=0.5, seed=7), co.SphericalMidpoint()),
