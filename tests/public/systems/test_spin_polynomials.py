@@ -229,7 +229,11 @@ def test_fitted_coefficients_are_not_forgotten_for_declared_constants():
     found = co.fit(ready, x0, (0, 0.2), measured, {"linear": True}, sigma={"x": 0.01}, save_every=5)
     np.testing.assert_allclose(found.values["linear"], np.tile(-2.2 * S * B, 2), rtol=1e-9)
     assert "biquadratic 1" in ready.parameters
-    assert set(co.prepare(found.solution.system, method, step=0.01).parameters) == {"M", "linear", "coefficients"}
+    fitted = found.solution.system
+    assert set(co.prepare(fitted, method, step=0.01).parameters) == {"M", "linear", "coefficients"}
+    assert "changed since" in str(fitted) and "changed since" not in str(pair)
+    with refused(ValueError, "other coefficients", "declare"):
+        fitted.single_ion("Mn", np.diag([0, 0, 0.1]))
 
 
 def test_vacancies_and_substituted_ions():
