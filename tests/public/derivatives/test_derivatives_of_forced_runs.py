@@ -54,6 +54,14 @@ def filled(x, t, gain, power, none):
     return 1.0 * found
 
 
+def in_branches(x, t, early, late, bound):
+    if t < 0.4:
+        return -early * x * np.abs(x)
+    if t < 0.6 and x[0] < np.inf:
+        return -late * np.maximum(x, 0.5 * x[0])
+    return early * x if x[1] > bound else np.copysign(np.minimum(late * x, np.inf), -x)
+
+
 # Of systems whose energies are shifted if they have an attitude: forces, a scheme, and a number of members.
 CASES = {
     "one rate": (BODY, (F.LinearDamping(0.3),), co.Splitting(), 1),
@@ -69,6 +77,12 @@ CASES = {
         (F.Torque(filled, arguments={"gain": 1.0, "power": 1.0, "none": 0.0}), F.LinearDamping(0.1)),
         co.Splitting(),
         2,
+    ),
+    "law with branches": (
+        BODY,
+        (F.Torque(in_branches, arguments={"early": 0.3, "late": 0.2, "bound": 0.5}),),
+        co.Splitting(order=4),
+        1,
     ),
     "given flow": (BODY, (F.OwnForce(lambda x, t, tau: x / (1.0 + 0.2 * tau * x * x)),), co.Splitting(), 2),
     "double bracket": (BODY, (F.DoubleBracketDamping(0.4, (0.5, 1.0, 2.0)),), co.Splitting(order=4), 1),
@@ -149,6 +163,18 @@ def test_noise_and_damping_of_spins_take_bounded_work():
     with bounded_work(8.0):
         sol, pullback = ready.vjp(X9, (0.0, 2000 * H), save_every=500)
         pullback(np.ones(sol.x.shape))
+
+
+def test_arguments_that_enter_by_arithmetic_of_the_law_have_differences():
+    """Of x' = -gain^3 x on a round body, -3 gain^2 t exp(-gain^3 t) x0; by a gain that is a factor, they are exact."""
+    base, exact = co.systems.rigid_body((1.0, 1.0, 1.0)), -3 * 0.3**2 * np.exp(-(0.3**3)) * X3
+    torques = (lambda x, t, gain: -gain * x), (lambda x, t, gain: -(gain**3) * x)
+    for torque, gain, rule in zip(torques, (0.3**3, 0.3), ("exact", "differences"), strict=True):
+        ready = co.prepare(base.with_forces(F.Torque(torque, arguments={"gain": gain})), co.Splitting(), H)
+        tangents = ready.jvp(X3, (0.0, 1.0), {"Torque.arguments.gain": 1.0})[1]
+        assert tangents.rule == {"Torque.arguments.gain": rule}
+        scale = 1.0 if rule == "differences" else 1 / (3 * 0.3**2)
+        np.testing.assert_allclose(tangents.x[-1], scale * exact, rtol=1e-9)
 
 
 NOISES_OF_MEMBERS = {

@@ -344,6 +344,15 @@ def test_the_parameters_of_a_system_are_a_copy():
         assert not np.allclose(run(X0, params=params).detach(), x)
 
 
+def test_the_directions_and_parameters_of_features_are_a_copy():
+    directions, size = torch.eye(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64)
+    energy = co.torch.features(lambda y, size: size * torch.cos(y), directions, size)
+    system, expected = co.LiePoissonSystem(co.algebras.so(3), energy), np.cos(X0).sum()
+    directions.mul_(2.0)
+    size.mul_(3.0)
+    assert abs(system.energy(X0) - expected) < 1e-15 * len(X0)
+
+
 def module_of(params, x):
     """The energy of `modules` as a function of its parameters."""
     return (params["2.weight"] @ torch.tanh(params["0.weight"] @ x)).sum()

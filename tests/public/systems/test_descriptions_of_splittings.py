@@ -115,3 +115,14 @@ def test_the_subtracted_casimirs_as_a_formula(name, sign):
 
 
 CUBIC = {(2, 0, 0): 0.5, (0, 3, 0): 0.25, (1, 2, 0): 0.5, (0, 0, 2): 1.0}
+
+
+@pytest.mark.parametrize(
+    ("algebra", "parts"),
+    [(co.algebras.copies(co.algebras.so(3), 12), 2), (co.algebras.so(9), 7)],
+    ids=["copies", "so(9)"],
+)
+def test_squares_of_many_coordinates_are_shifted_by_casimirs(algebra, parts):
+    """Beyond 24 coordinates too: so(3)^12 with x^2 + 2 y^2 + 3 z^2 has 3 parts without a shift, and so(9) has 15."""
+    system = co.LiePoissonSystem(algebra, co.Quadratic(1.0 + np.arange(algebra.dim) % 3))
+    assert str(co.Splitting().describe(system)).splitlines()[0].endswith(f"in {parts} parts")

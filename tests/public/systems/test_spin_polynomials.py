@@ -178,6 +178,25 @@ def test_derivatives_by_constants_by_name(name, change, method):
     np.testing.assert_allclose(gradient, end @ found, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
+def test_derivatives_by_constants_of_twisted_lattices():
+    """By central differences, as above, of a ring of three spins, of which one bond crosses the twisted end."""
+    x, h, names = start(3), 1e-4, ("biquadratic 1", "B40 Mn 0")
+
+    def twisted(K, B40):
+        ring = co.systems.spins(TETRAGONAL, (3, 1, 1), spin=S, periodic=(True, False, False), twist=(1.0, 0, 0))
+        return ring.exchange(BOND, J).biquadratic(BOND, K).single_ion("Mn", {"B40": B40})
+
+    ready = co.prepare(twisted(K, 0.02), co.GaussLegendre(2), step=0.005)
+    for name, change in zip(names, np.eye(2) * h, strict=True):
+        found = ready.jvp(x, (0, 0.5), {name: 1.0})[1].x[-1]
+        up, down = (
+            co.integrate(twisted(*((K, 0.02) + s * change)), x, (0, 0.5), 0.005, co.GaussLegendre(2)).x[-1]
+            for s in (1, -1)
+        )
+        expected = (up - down) / (2 * h)
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
 def test_constants_are_fitted_by_name():
     """Exact data are fitted to round-off; coefficients that symmetry ties have derivatives together."""
     x0, method = start(3), co.Splitting(order=4)
@@ -199,6 +218,22 @@ def test_constants_are_fitted_by_name():
         for b in (0.1 + 1e-5, 0.1 - 1e-5)
     ]  # fmt: skip
     np.testing.assert_allclose(moved, (ends[0] - ends[1]) / 2e-5, atol=1e-7)
+
+
+def test_fitted_coefficients_are_not_forgotten_for_declared_constants():
+    """A pair in a field that was fitted is no longer that of its declaration, from which constants build models."""
+    x0, method = start(2), co.GaussLegendre(2)
+    pair = co.systems.spins(TETRAGONAL, (2, 1, 1), spin=S, periodic=False).exchange(BOND, J).biquadratic(BOND, K)
+    measured = {"x": co.integrate(pair.field(1.1 * B), x0, (0, 0.2), 0.01, method, save_every=5).x}
+    ready = co.prepare(pair.field(B), method, step=0.01)
+    found = co.fit(ready, x0, (0, 0.2), measured, {"linear": True}, sigma={"x": 0.01}, save_every=5)
+    np.testing.assert_allclose(found.values["linear"], np.tile(-2.2 * S * B, 2), rtol=1e-9)
+    assert "biquadratic 1" in ready.parameters
+    fitted = found.solution.system
+    assert set(co.prepare(fitted, method, step=0.01).parameters) == {"M", "linear", "coefficients"}
+    assert "changed since" in str(fitted) and "changed since" not in str(pair)
+    with refused(ValueError, "other coefficients", "declare"):
+        fitted.single_ion("Mn", np.diag([0, 0, 0.1]))
 
 
 def test_vacancies_and_substituted_ions():

@@ -197,6 +197,17 @@ def test_general_exchange_of_a_lattice_has_few_parts(lattice, shape, tensor, par
     assert errors[0] < 0.05 and abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
 
 
+def test_parts_know_the_ideals_of_coordinates_in_any_order():
+    """Eight spins of a ring whose coordinates are in a drawn order: each part has one coordinate of a spin at most."""
+    place, T = np.random.default_rng(2).permutation(24).reshape(8, 3), np.random.default_rng(5).uniform(0.5, 1, (3, 3))
+    brackets, M = [np.roll(spin, -k) for spin in place for k in range(3)], np.zeros((24, 24))
+    algebra = co.LieAlgebra([(min(i, j), max(i, j), k, np.sign(j - i)) for i, j, k in brackets], dim=24)
+    for spin, other in zip(place, np.roll(place, 1, axis=0), strict=True):
+        M[np.ix_(spin, other)], M[np.ix_(other, spin)] = T, T.T
+    errors = errors_of_splitting(co.LiePoissonSystem(algebra, co.Quadratic(M)), 2, (40, 80))
+    assert errors[0] < 0.005 and abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
+
+
 @pytest.mark.parametrize("mode", ["dipole", "SU(N)"])
 def test_large_models_of_many_bonds_have_the_parts_of_small_ones(mode):
     """2400 bonds between 160 spins."""

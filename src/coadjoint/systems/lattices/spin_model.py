@@ -520,6 +520,11 @@ class SpinModel(LiePoissonSystem):
         return found
 
     def _with(self, **changes: Any) -> Self:
+        if self._constants is None:  # the energy is another one than the declared one
+            raise ValueError(
+                f"{self.name} has other coefficients than it was declared with, such as fitted ones, which a changed "
+                "model would not have; declare the model again, with these coefficients"
+            )
         changed = type(self)(replace(self._declared, **changes))
         return changed._with_acting(self.forces) if self.forces else changed
 
@@ -585,6 +590,7 @@ class SpinModel(LiePoissonSystem):
             f"{len(self.sites)} spins, {cells_text(self.size)} cells, periodic={self.periodic}, units {self.units}",
             "H = sum of S_i . J S_j + D . (S_i x S_j) + K (S_i . S_j)^2 over bonds + S_i . A S_i + B_lm O_lm(S_i)"
             " - g mu_B B . S_i over sites",
+            *(["declared as follows, with coefficients that changed since:"] * (self._constants is None)),
             *([] if (twist := declared.twist) is None else [f"twist {twist.angles} rad about {twist.axis}"]),
             *kinds,
             *(ion.text for ion in declared.substitutions),
