@@ -2,10 +2,11 @@
 //
 // One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the midpoint M with P = stream(M), and W += h [P, M].
 // Several: V_i = 1 + h sum_j a_ij P_j V_j, U_i = 1 - h sum_j a_ij U_j P_j, M_i = V_i W U_i, and W += h sum_i b_i [P_i,
-// M_i]. For skew-Hermitian matrices U_i = V_i*.
+// M_i]. Skew-Hermitian matrices, where U_i = V_i*, have schemes of their own.
 #include "matrices/compiled_transforms.hpp"
 #include "matrices/isospectral.hpp"
 #include "matrices/skew_midpoint.hpp"
+#include "matrices/skew_stages.hpp"
 
 namespace coadjoint {
 
@@ -75,15 +76,16 @@ struct Midpoint final : Isospectral<T> {
     }
 };
 
+// Several stages, of matrices that are not skew-Hermitian.
 template <class T>
 struct Stages final : Isospectral<T> {
     typedef Isospectral<T> Base;
-    using Base::square, Base::n, Base::all, Base::numbers, Base::products, Base::stream, Base::stages, Base::skew;
+    using Base::square, Base::n, Base::all, Base::numbers, Base::products, Base::stream, Base::stages;
     std::vector<T> V, U, P, K, L, M, A, next, move;
 
     explicit Stages(const StepTables& tables)
-        : Base(tables), V(all * stages), U(skew ? 0 : all * stages), P(all * stages), K(all * stages),
-          L(skew ? 0 : all * stages), M(all * stages), A(all), next(all), move(all) {}
+        : Base(tables), V(all * stages), U(all * stages), P(all * stages), K(all * stages),
+          L(all * stages), M(all * stages), A(all), next(all), move(all) {}
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         for (int64_t e = 0; e < all; ++e) M[e] = reinterpret_cast<const T*>(x)[e] + reinterpret_cast<const T*>(dx)[e];
@@ -91,23 +93,21 @@ struct Stages final : Isospectral<T> {
         if (!stream.apply(M.data(), t, A.data())) return UNDEFINED;
         for (int64_t i = 0; i < stages; ++i) {
             std::copy_n(A.data(), all, K.data() + i * all);
-            if (!skew) std::copy_n(A.data(), all, L.data() + i * all);
+            std::copy_n(A.data(), all, L.data() + i * all);
         }
         update_points(K, V, h);
-        if (!skew) update_points(L, U, -h);
+        update_points(L, U, -h);
         this->iterations = 0;
         for (;;) {
             for (int64_t i = 0; i < stages; ++i) {
                 T *v = V.data() + i * all, *m = M.data() + i * all, *p = P.data() + i * all;
                 products.multiply(v, W, A.data());
-                if (skew) products.multiply_skew_by_adjoint(A.data(), v, m);
-                else products.multiply(A.data(), U.data() + i * all, m);
+                products.multiply(A.data(), U.data() + i * all, m);
                 if (!stream.apply(m, t + this->c[i] * h, p)) return UNDEFINED;
                 products.multiply(p, v, K.data() + i * all);
-                if (!skew) products.multiply(U.data() + i * all, p, L.data() + i * all);
+                products.multiply(U.data() + i * all, p, L.data() + i * all);
             }
-            double change = update_points(K, V, h);
-            if (!skew) change = std::max(change, update_points(L, U, -h));
+            const double change = std::max(update_points(K, V, h), update_points(L, U, -h));
             if (this->ended(change, 1.0)) {
                 this->residual = change;
                 break;
@@ -151,9 +151,9 @@ struct Stages final : Isospectral<T> {
 
 template <class T>
 StepScheme* made(const StepTables& tables) {
-    if (tables.whole[STAGES] > 1) return new Stages<T>(tables);
-    if (tables.whole[GENERAL]) return new Midpoint<T>(tables);
-    return new SkewMidpoint<T>(tables);
+    const bool several = tables.whole[STAGES] > 1;
+    if (tables.whole[GENERAL]) return several ? static_cast<StepScheme*>(new Stages<T>(tables)) : new Midpoint<T>(tables);
+    return several ? static_cast<StepScheme*>(new SkewStages<T>(tables)) : new SkewMidpoint<T>(tables);
 }
 
 }  // namespace

@@ -6,13 +6,10 @@
 // Y' = (h/2) B D N with N = M (1 - X) = M + V - Z*. The linear equation for D needs few digits, and is solved in the
 // lower precision. P is predicted from earlier steps, so that mostly one Newton step of one product by its slope is
 // left: 2 5/8 products in the precision of the states, one of them the inverse, and four in the lower one.
-//
-// All this holds for X0 + eps X1 with eps^2 = 0, and for independent layers: a matrix then has planes for each of them.
 #pragma once
 
-#include "matrices/cayley.hpp"
-#include "matrices/isospectral.hpp"
-#include "matrices/tiles.hpp"
+#include "matrices/prediction.hpp"
+#include "matrices/skew_planes.hpp"
 
 namespace coadjoint {
 
@@ -28,34 +25,26 @@ struct Lower<Complex> {
 };
 
 template <class T>
-struct SkewMidpoint final : Isospectral<T> {
-    typedef Isospectral<T> Base;
+struct SkewMidpoint final : SkewPlanes<T> {
+    typedef SkewPlanes<T> Base;
     typedef typename Lower<T>::type LowPrecision;
-    using Base::n, Base::square, Base::all, Base::stream;
+    using Base::n, Base::square, Base::stream, Base::PARTS, Base::LAST_DIGIT, Base::GROWN, Base::layers, Base::moving;
+    using Base::STATE, Base::INVERSE, Base::FIRST, Base::SECOND;
+    using Base::products, Base::whole, Base::each_product, Base::load_both, Base::store_for_stream, Base::G, Base::image;
 
-    static constexpr int64_t PARTS = sizeof(T) / sizeof(double);
-    static constexpr int64_t HISTORY = 14;            // rows of earlier steps from which P is predicted
-    static constexpr int64_t SAMPLES = 256, RUN = 8;  // numbers of a row to which a prediction is fitted, in short runs
-    static constexpr double NOISE = 0x1p-40;  // of the last row: what earlier ones add below it is round-off
+    static constexpr int64_t HISTORY = MOST_ROWS;  // rows of earlier steps from which P is predicted
     static constexpr int64_t MOST_CORRECTIONS = 24;
     static constexpr double LOW_ACCURACY = 0x1p-21;  // accuracy of a correction in the lower precision
-    static constexpr double LAST_DIGIT = 0x1p-52;
     static constexpr double NEAR = 0x1p-28;  // of P: within it, one correction reaches round-off
-    static constexpr double GROWN = 2.0;  // K shrinks a residual by up to this factor less than the one before
 
     // Directions kept orthogonal; more cost memory, and fewer cost iterations.
     static constexpr int64_t DIRECTIONS = 4;
-    enum Matrix { STATE, INVERSE, FIRST, SECOND, MATRICES };
     enum LowMatrix { LOW_INVERSE, LOW_MIDPOINT, LOW_END, CHANGE, TURNED, SLOPE, LOW_MATRICES };
 
     // Packed matrices have the `half` real numbers on and above the diagonal only, row by row, of each layer.
-    const int64_t layers, moving, half;  // of a state, and those of P that are not zero
-    const PlaneProducts<T> products;
+    const int64_t half;
     const PlaneProducts<LowPrecision> low;
-    Cayley<T> cayley;
-    PlanesOf<T> planes;
     PlanesOf<LowPrecision> low_planes;
-    std::vector<T> G, image;
     std::vector<double> M, base, P, F, D, R, residuals;  // packed
     std::vector<double> weight;  // of a layer of P, by which residuals are compared
 
@@ -66,10 +55,8 @@ struct SkewMidpoint final : Isospectral<T> {
     Direction directions[DIRECTIONS];
 
     explicit SkewMidpoint(const StepTables& tables)
-        : Base(tables), layers(tables.whole[1]), moving(stream.carries() ? 1 : layers), half(PARTS * n * (n + 1) / 2),
-          products(tables.whole[REAL_GEMM], n), low(tables.whole[LOWER_GEMM], n), cayley(tables.whole[REAL_GEMM], n),
-          planes(square, MATRICES * layers), low_planes(square, LOW_MATRICES * layers), G(all), image(all),
-          M(layers * half), base(M), P(moving * half), F(P), D(P), R(P), residuals(P), weight(moving, 1.0) {
+        : Base(tables), half(PARTS * n * (n + 1) / 2), low(tables.whole[LOWER_GEMM], n),
+          low_planes(square, LOW_MATRICES * layers), M(layers * half), base(M), P(moving * half), F(P), D(P), R(P), residuals(P), weight(moving, 1.0) {
         for (Direction& each : directions) each.p.resize(P.size()), each.q.resize(P.size());
         this->memory_size = 3 + M.size() + (1 + HISTORY) * P.size();
     }
@@ -77,10 +64,7 @@ struct SkewMidpoint final : Isospectral<T> {
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         const T* W = reinterpret_cast<const T*>(x);  // dx is below its last digit
         if (!predict(W, t, h)) return UNDEFINED;
-        for (int64_t l = 0; l < layers; ++l) {
-            const Planes<T> to = whole(STATE, l);
-            for (int64_t e = 0; e < square; ++e) to.set(e, W[l * square + e]);
-        }
+        this->load_state(W);
         this->iterations = 0, this->evaluations = 1;
         this->status = DONE;
         bool corrected = false;
@@ -101,28 +85,12 @@ struct SkewMidpoint final : Isospectral<T> {
     }
 
   private:
-    Planes<T> whole(int64_t matrix, int64_t l) { return planes.layer(matrix * layers + l); }
     Planes<LowPrecision> lower(int64_t matrix, int64_t l) { return low_planes.layer(matrix * layers + l); }
-    Planes<T> matrix_of(const PlaneProducts<T>&, int64_t matrix, int64_t l) { return whole(matrix, l); }
-    Planes<LowPrecision> matrix_of(const PlaneProducts<LowPrecision>&, int64_t matrix, int64_t l) {
-        return lower(matrix, l);
-    }
 
-    // Call use(i, j, l, add) for the products of layers i and j of two factors that make the layers of a product, from
-    // `from` on; layers that factors do not have are zero.
-    template <class Use>
-    void each_product(int64_t in_first, int64_t in_second, int64_t from, const Use& use) const {
-        for (int64_t l = from; l < std::max(in_first, in_second); ++l) {
-            const bool same = stream.direct || l == 0;
-            if (same || in_second > l) use(same ? l : 0, l, l, false);
-            if (!same && in_first > l) use(l, 0, l, in_second > l);
-        }
-    }
-
-    template <class In>
-    void multiply(const In& products, int64_t a, int64_t b, int64_t c, int64_t in_a, int64_t in_b, int64_t from = 0) {
+    // c := a b in the lower precision, layers from a number on.
+    void multiply_low(int64_t a, int64_t b, int64_t c, int64_t in_a, int64_t in_b, int64_t from = 0) {
         each_product(in_a, in_b, from, [&](int64_t i, int64_t j, int64_t l, bool add) {
-            products.multiply(matrix_of(products, a, i), matrix_of(products, b, j), matrix_of(products, c, l), add);
+            low.multiply(lower(a, i), lower(b, j), lower(c, l), add);
         });
     }
 
@@ -146,12 +114,6 @@ struct SkewMidpoint final : Isospectral<T> {
             if (!(largest <= most)) most = most - most == 0.0 ? largest : most;
         }
         return most;
-    }
-
-    // Store a tile on or above the diagonal of G, and the opposite one if a stream reads it.
-    void store_for_stream(const TileRange& range, const Tile<T>& from, T* to) const {
-        store(range, from, to);
-        if (!range.diagonal() && !stream.upper_suffices()) store(range.opposite(), from.opposite(), to);
     }
 
     // F := stream(M) - P, the residual, its largest number, and the size of P. Of a linear stream F is stream(M - base)
@@ -181,27 +143,12 @@ struct SkewMidpoint final : Isospectral<T> {
         return true;
     }
 
-    // Of the skew-Hermitian V = Z C*, whose entries on and below the diagonal are computed, the tile above and that
-    // below it.
-    static void load_both(const TileRange& range, const Planes<T>& V, Tile<T>& above, Tile<T>& below) {
-        load_product(range.opposite(), V, below, true);
-        above = below.opposite();
-        if (range.diagonal()) above.mirror(), below = above;
-    }
-
     // Compute C, Z and V for P, the midpoint M, and (h/2) M and (h/2) N, N = M (1 - X) = M + V - Z*, in the lower
     // precision; G := what a stream reads.
     void solve(double h) {
-        for (int64_t l = 0; l < moving; ++l) {
-            unpack<T>(n, P.data() + l * half, 0.5 * h, whole(INVERSE, l));
-            if (l == 0 || stream.direct) cayley.transform(whole(INVERSE, l));
-        }
-        if (moving > 1 && !stream.direct) invert_second();
-        multiply(products, INVERSE, STATE, FIRST, moving, layers);
-        for (int64_t l = 0; l < layers; ++l) combine_products(square, whole(FIRST, l), true);
-        each_product(layers, moving, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
-            products.lower(whole(FIRST, i), whole(INVERSE, j), whole(SECOND, l), true, add);
-        });
+        for (int64_t l = 0; l < moving; ++l) unpack<T>(n, P.data() + l * half, 0.5 * h, whole(INVERSE, l));
+        this->invert();
+        this->multiply_state(INVERSE);
         const double half_step = 0.5 * h;
         const bool linear = stream.linear();
         for (int64_t l = 0; l < layers; ++l) {
@@ -236,23 +183,14 @@ struct SkewMidpoint final : Isospectral<T> {
         }
     }
 
-    // The second layer of C for X0 + eps X1: B0 X1 B0.
-    void invert_second() {
-        const Planes<T> C = whole(INVERSE, 0), X = whole(INVERSE, 1), left = whole(FIRST, 0), both = whole(SECOND, 0);
-        products.multiply(C, X, both);
-        for (int64_t e = 0; e < square; ++e) left.set(e, X.at(e) + both.product(e));
-        products.multiply(left, C, both);
-        for (int64_t e = 0; e < square; ++e) X.set(e, left.at(e) + both.product(e));
-    }
-
     // Y := B D A for the D of these packed numbers, times factor(layer); only layers of Y from a number on.
     template <class Number, class Factor>
     void multiply_change(const Number* packed, const Factor& factor, int64_t A, int64_t from) {
         typedef std::conditional_t<std::is_same_v<Number, double>, T, LowPrecision> Entry;
         for (int64_t l = 0; l < moving; ++l) unpack<Entry>(n, packed + l * half, factor(l), lower(CHANGE, l));
-        multiply(low, LOW_INVERSE, CHANGE, TURNED, moving, moving);
+        multiply_low(LOW_INVERSE, CHANGE, TURNED, moving, moving);
         for (int64_t l = 0; l < moving; ++l) combine_products(square, lower(TURNED, l), false);
-        multiply(low, TURNED, A, SLOPE, moving, layers, from);
+        multiply_low(TURNED, A, SLOPE, moving, layers, from);
     }
 
     // image := K D, on and above the diagonal, for the D of these packed numbers, times factor(layer).
@@ -287,36 +225,18 @@ struct SkewMidpoint final : Isospectral<T> {
     void advance(double* x, double* dx, bool corrected) {
         const double twice = 2.0 * this->residual;
         for (int64_t l = 0; l < layers; ++l) {
-            const Planes<T> Z = whole(FIRST, l), V = whole(SECOND, l);
             const Planes<LowPrecision> Y = lower(SLOPE, l);
             double *const to = x + PARTS * l * square, *const rest = dx + PARTS * l * square;
-            each_tile(n, [=](const TileRange& range) {
-                Tile<T> v, below, z, move, more;
-                load(range, Z, z), load(range.opposite(), Z, below);
-                const Tile<T> opposite = below.opposite();
-                load_both(range, V, v, below);
-                move.set([&](int p, int i) {
-                    return 4.0 * v.row[p][i] + 2.0 * (z.row[p][i] + opposite.row[p][i]);
-                });
+            each_tile(n, [=, this](const TileRange& range) {
+                Tile<T> move = this->load_change(range, l);
                 if (corrected) {
+                    Tile<T> more;
                     load_sum(range, Y, twice, more);
                     move.set([&](int p, int i) { return move.row[p][i] + more.row[p][i]; });
                 }
-                if (range.diagonal()) move.mirror();
-                add(range, move, to, rest);
-                if (!range.diagonal()) add(range.opposite(), move.opposite(), to, rest);
+                this->add_both(range, move, to, rest);
             });
         }
-    }
-
-    static void add(const TileRange& range, const Tile<T>& move, double* x, double* dx) {
-        Tile<T> to, rest;
-        range.each_row([&](int i, int64_t e, int count) {
-            to.load(i, x + PARTS * e, count), rest.load(i, dx + PARTS * e, count);
-            for (int p = 0; p < PARTS; ++p)
-                two_sum(to.row[p][i], move.row[p][i] + rest.row[p][i], to.row[p][i], rest.row[p][i]);
-            to.store(i, x + PARTS * e, count), rest.store(i, dx + PARTS * e, count);
-        });
     }
 
     // Solve D - K D = F, where K D is the stream of Y - Y*, Y = (h/2) B D M, up to an error of at most `enough`, and
@@ -401,19 +321,6 @@ struct SkewMidpoint final : Isospectral<T> {
         }
     }
 
-    template <class A, class B>
-    static double dot(int64_t count, const A* a, const B* b) {
-        // Partial sums, in a fixed order on every processor.
-        constexpr int64_t ROWS = 8;
-        double sums[ROWS] = {};
-        int64_t e = 0;
-        for (; e + ROWS <= count; e += ROWS)
-            for (int64_t k = 0; k < ROWS; ++k) sums[k] += double(a[e + k]) * double(b[e + k]);
-        for (; e < count; ++e) sums[0] += double(a[e]) * double(b[e]);
-        for (int64_t k = 1; k < ROWS; ++k) sums[0] += sums[k];
-        return sums[0];
-    }
-
     // memory: the number of steps that it knows, their length, the row that was written last, M of the last step, K D
     // of its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and
     // smooth in time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a
@@ -468,49 +375,11 @@ struct SkewMidpoint final : Isospectral<T> {
     // Compute the predicted row of a layer, less K D of the last step.
     void extrapolate(int64_t l, double* rest) const {
         double factor[HISTORY];
-        const int64_t taken = fit(l, int64_t(this->memory[0]) - 1, factor);
-        const double* slope = slope_of_last();
-        // Numbers that stay in the first cache while all samples are added.
-        constexpr int64_t BLOCK = 2048;
-        for (int64_t begin = l * half; begin < (l + 1) * half; begin += BLOCK) {
-            const int64_t end = std::min(begin + BLOCK, (l + 1) * half);
-            for (int64_t k = begin; k < end; ++k) rest[k] = -slope[k];
-            for (int64_t j = 0; j < taken; ++j) {
-                const double *row = past(j), share = factor[j];
-                for (int64_t k = begin; k < end; ++k) rest[k] += share * row[k];
-            }
-        }
-    }
-
-    // Least squares for samples of the rows of a layer, by orthogonalization; return the number of factors.
-    int64_t fit(int64_t l, int64_t rows, double* factor) const {
-        if (rows < 2) return std::fill_n(factor, rows, 1.0), rows;
-        const int64_t count = std::min(half, SAMPLES), run = half < SAMPLES ? half : RUN, runs = count / run;
-        double sample[HISTORY][SAMPLES], share[HISTORY][HISTORY];  // the last row in sample[0]
-        for (int64_t j = 0; j < rows; ++j) {
-            const double* row = past(j) + l * half;
-            for (int64_t k = 0; k < runs; ++k) std::copy_n(row + k * (half / runs), run, sample[j] + k * run);
-        }
-        const double* newest = sample[0];
-        const double scale = 1.0 / largest_of(count, [=](int64_t k) { return newest[k]; });
-        if (!(scale - scale == 0.0)) return 0;
-        int64_t taken = 0;
-        for (int64_t j = 0; j < rows; ++j)
-            for (int64_t k = 0; k < count; ++k) sample[j][k] *= scale;
-        for (int64_t j = 1; j < rows && taken < count / 2; ++j, ++taken) {
-            const double square = dot(count, sample[j], sample[j]);
-            if (!(square > NOISE * NOISE * double(count))) break;
-            for (int64_t i = 0; i < rows; ++i) {
-                if (i > 0 && i <= j) continue;
-                const double part = share[j][i] = dot(count, sample[j], sample[i]) / square;
-                for (int64_t k = 0; k < count; ++k) sample[i][k] -= part * sample[j][k];
-            }
-        }
-        for (int64_t j = taken; j > 0; --j) {
-            factor[j - 1] = share[j][0];
-            for (int64_t i = j + 1; i <= taken; ++i) factor[j - 1] -= share[j][i] * factor[i - 1];
-        }
-        return taken;
+        const auto row = [this, l](int64_t j) -> const double* { return past(j) + l * half; };
+        const int64_t taken = fit_rows(half, int64_t(this->memory[0]) - 1, row, factor);
+        const double* const slope = slope_of_last() + l * half;
+        for (int64_t k = 0; k < half; ++k) rest[l * half + k] = -slope[k];
+        add_rows(half, taken, row, factor, rest + l * half);
     }
 
     void store_history(double h, bool corrected) {
