@@ -19,6 +19,8 @@ SUBJECTS = {
         "molecules": "Rigid molecules",
         "first_run_of_a_lattice": "First runs of lattices",
         "fluids": "Fluids",
+        "fluids_of_two_fields": "Fluids with two fields and layers",
+        "fluids_of_higher_order": "Fluids by schemes of higher order",
         "fluids_more": "Fluids on more threads",
         "heat_baths": "Heat baths",
         "gauss_legendre": "Gauss-Legendre",
@@ -48,6 +50,7 @@ SUBJECTS = {
     },
     "Derivatives": {
         "derivatives": "Derivatives of runs",
+        "derivatives_with_forces": "Derivatives of runs with forces",
         "derivatives_beside": "Gradients beside other solvers",
     },
     "Exported code, JAX and the browser": {
