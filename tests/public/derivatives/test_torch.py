@@ -353,6 +353,19 @@ def test_the_directions_and_parameters_of_features_are_a_copy():
     assert abs(system.energy(X0) - expected) < 1e-15 * len(X0)
 
 
+def test_parameters_given_unchanged_beside_changed_ones_have_gradients():
+    """Those of the system with the changed values, prepared."""
+    body, method = co.systems.rigid_body((1.0, 2.0, 3.0)), co.Splitting()
+    damped = [body.with_forces(co.forces.LinearDamping(rate)) for rate in (0.2, 0.3)]
+    given = {"inertia": [1.0, 2.0, 3.0], "LinearDamping.rate": 0.3}
+    tensors = {name: torch.tensor(one, dtype=torch.float64, requires_grad=True) for name, one in given.items()}
+    co.torch.solution(damped[0], (0, 1), method=method, step=0.1)(X0, **tensors).sum().backward()
+    sol, pullback = co.prepare(damped[1], method, 0.1).vjp(X0, (0, 1))
+    expected = pullback(x=np.ones_like(sol.x))
+    for name, one in tensors.items():
+        np.testing.assert_allclose(one.grad, expected[name], rtol=1e-12)
+
+
 def module_of(params, x):
     """The energy of `modules` as a function of its parameters."""
     return (params["2.weight"] @ torch.tanh(params["0.weight"] @ x)).sum()
