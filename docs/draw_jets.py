@@ -1,4 +1,4 @@
-"""Draw `docs/jets.png`, jets of a planet, from runs of ten minutes in all: ``python docs/draw_jets.py FOLDER``.
+"""Draw `docs/jets.png`, jets of a planet, from runs of twenty minutes in all: ``python docs/draw_jets.py FOLDER``.
 
 The folder has an archive of each run, from which a run that was interrupted continues.
 """
@@ -18,7 +18,7 @@ from PIL import Image
 HERE = Path(__file__).parent
 PICTURE = HERE / "jets.png"
 EXAMPLE = runpy.run_path(str(HERE.parent / "examples" / "planetary_jets.py"))
-RUNS = {"decaying": (256, 96), "forced": (128, 64)}
+RUNS = {"decaying": (256, 96), "forced": (256, 64)}
 """N with a deformation radius, and without, where waves are faster and need short steps."""
 
 
