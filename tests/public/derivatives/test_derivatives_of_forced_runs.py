@@ -218,6 +218,26 @@ def test_several_directions_of_a_parameter_at_once(name):
     assert np.abs(alone[-1]).max() > 0.05
 
 
+def test_each_entry_of_a_matrix_of_hamiltonians_has_a_derivative():
+    """Also those that are zero, which the tables of the noise leave out."""
+    fields, d = np.array([[1.0, 0.3, 0.0], [0.0, 1.0, 2.0]]), 1e-5
+
+    def prepared(fields):
+        noise = F.HamiltonianNoise(fields, (0.1, 0.2), seed=3)
+        return co.prepare(BODY.with_forces(noise), co.Splitting(), H)
+
+    sol, pullback = prepared(fields).vjp(X3, (0.5, 1.0))
+    weights = np.zeros_like(sol.x)
+    weights[-1] = 1.0, -2.0, 0.5
+    found = pullback(weights)["HamiltonianNoise.hamiltonians"]
+    for k in np.ndindex(fields.shape):
+        moved = np.zeros(fields.shape)
+        moved[k] = d
+        ahead, behind = (prepared(fields + sign * moved).run(X3, (0.5, 1.0)).x[-1] for sign in (1, -1))
+        assert abs(found[k] - weights[-1] @ (ahead - behind) / (2 * d)) < 1e-8
+    assert np.abs(found).min() > 1e-4
+
+
 C1 = 1 / (2 - 2 ** (1 / 3))
 COMPOSED = co.Composition(co.IsospectralGauss(), (C1, 1 - 2 * C1, C1))
 

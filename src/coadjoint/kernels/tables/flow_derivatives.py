@@ -166,7 +166,15 @@ def _of_numbers(
         own = flow_table(one, j, order)
         return np.concatenate([getattr(own, name) for name in names])
 
-    return _with_numbers(found, j, numbers_of(system), numbers_of, entries)
+    numbers = numbers_of(system)
+
+    def as_many(one: Any) -> Floats:
+        other = numbers_of(one)
+        if len(other) != len(numbers):
+            raise TracingError("coefficients that are zero are not in its table")
+        return other
+
+    return _with_numbers(found, j, numbers, as_many, entries)
 
 
 def _with_numbers(
