@@ -222,7 +222,7 @@ class ControlMomentGyros(Sampled):
             rates = np.zeros(count)
             for k in range(count):
                 b = x[begin + 2 * k] * at_right[k] - x[begin + 2 * k + 1] * at_zero[k]
-                rates[k] = min(max(-(b[0] * u + b[1] * v + b[2] * w), -most), most)
+                rates[k] = np.minimum(np.maximum(-(b[0] * u + b[1] * v + b[2] * w), -most), most)
             return rates
 
         return command
@@ -322,7 +322,8 @@ class Thrusters(Sampled):
 
         def command(torque: Any, x: Any, t: Any, deviates: Any) -> Any:
             impulse = np.minimum(np.abs(torque), full) * period
-            return np.where(impulse >= least, np.copysign(impulse / full, torque), 0.0)
+            # A factor, since a choice is a branch in derivatives; 0.0 is added for the sign of zero.
+            return np.copysign(impulse / full, torque) * np.greater_equal(impulse, least) + 0.0
 
         return command
 

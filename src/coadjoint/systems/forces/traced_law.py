@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
+from coadjoint.systems.forces.actuators import rotated
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.hamiltonians.traced_function import Graph, TracingError, constant_of
 from coadjoint.systems.user_functions import first_difference
@@ -36,13 +38,20 @@ def _with_sign(size: Any, sign: Any) -> Any:
     return np.abs(size) * (1 - 2 * (sign < 0.0))
 
 
+def _turned(c: Any, s: Any, angle: Any) -> Any:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return c * cosine - s * sine, s * cosine + c * sine
+
+
 REPLACED = (
     (np.maximum, _by_method("maximum", np.maximum)),
     (np.minimum, _by_method("minimum", np.minimum)),
+    (np.greater_equal, np.frompyfunc(operator.ge, 2, 1)),
     (np.where, np.frompyfunc(_chosen, 3, 1)),
     (np.copysign, np.frompyfunc(_with_sign, 2, 1)),
+    (rotated, _turned),
 )
-"""Functions whose results for objects NumPy finds by comparing them, or not at all."""
+"""Functions that NumPy computes for objects by comparing them, or not at all, and one with a loop of conditions."""
 
 
 class Branch(NamedTuple):
@@ -85,15 +94,12 @@ class Branch(NamedTuple):
         n, graph, entries = len(self.results), self.graph, self.entries(moving)
         k = len(graph.variables)
         weights = [graph.variable(f"x[{k + i}]") for i in range(n)]
-        # Weights of the second one are no arguments: it is the derivative by them.
-        places = [graph.variable(f"w[{i}]") for i in range(n)]
         variables = [one.index for one in graph.variables[:n]] + entries
         pulled = graph.gradient(_combined(weights, self.results), variables)
         pulled = [*pulled[:n], *[0] * before, *pulled[n:], *[0] * after]
-        along = [*weights, *(graph.variable(f"x[{k + n + before + i}]") for i in range(len(entries)))]
-        pushed = _combined(along, graph.gradient(_combined(places, self.results), variables))
-        slopes = graph.gradient(pushed, [one.index for one in places])
-        return [graph.function(one, "{array}") for one in (pulled, slopes)]
+        changes = [*weights, *(graph.variable(f"x[{k + n + before + i}]") for i in range(len(entries)))]
+        pushed = graph.along(self.results, dict(zip(variables, changes, strict=True)))
+        return [graph.function(one, "{array}") for one in (pulled, pushed)]
 
 
 class TracedLaw(NamedTuple):

@@ -25,7 +25,7 @@ class _NumPy:
         return self.of(getattr(np, name))
 
     def of(self, function: Any) -> Any:
-        """Return a function of NumPy, replaced, or converting what it returns; anything else unchanged."""
+        """Return a function, replaced, or of NumPy that converts what it returns; anything else unchanged."""
         for known, other in self._replaced:
             if function is known:
                 return other
@@ -40,7 +40,7 @@ class _NumPy:
 
 
 def with_new_arrays(function: Any, convert: Callable[[Any], Any], replaced: Sequence[tuple[Any, Any]] = ()) -> Any:
-    """Return a copy of a function of the user; it and functions that it calls convert the arrays they create."""
+    """Return a copy of a function of the user; it and those that it calls, unless `replaced`, convert new arrays."""
     numpy, copies = _NumPy(convert, replaced), dict[int, Any]()
 
     def names_in(code: CodeType) -> set[str]:
@@ -50,8 +50,11 @@ def with_new_arrays(function: Any, convert: Callable[[Any], Any], replaced: Sequ
         value = getattr(value, "py_func", value)
         if value is np:
             return numpy
-        if not isinstance(value, FunctionType) or value.__module__.partition(".")[0] in ("numpy", "jax"):
-            return numpy.of(value)
+        found = numpy.of(value)
+        if found is not value or not isinstance(value, FunctionType):
+            return found
+        if value.__module__.partition(".")[0] in ("numpy", "jax"):
+            return value
         if id(value) not in copies:
             given, cells = value.__closure__ or (), tuple(CellType() for _ in value.__closure__ or ())
             names = value.__globals__.copy()

@@ -224,20 +224,31 @@ class Graph:
         last, wanted = self.entry(result), {*variables}
         slopes: dict[int, Any] = {last: 1}
         for index in range(last, -1, -1):
-            operation, inputs, slope = self.operations[index], self.inputs[index], slopes.get(index, 0)
+            inputs, slope = self.inputs[index], slopes.get(index, 0)
             if constant_of(slope) == 0 or not inputs or index in ends or index in self.fixed:
                 continue
-            arguments, value = [self.at(k) for k in inputs], Traced(self, index)
-            if operation == "neg":
-                factors: tuple[Any, ...] = (-1,)
-            elif operation in UNARY:
-                factors = (UNARY[operation](arguments[0], value),)
-            else:
-                factors = BINARY[operation][1](*arguments, value)
-            for argument, factor in zip(inputs, factors, strict=True):
+            for argument, factor in zip(inputs, self._slopes(index), strict=True):
                 if argument in wanted or (argument not in self.numbers and argument not in self.fixed):
                     slopes[argument] = slopes.get(argument, 0) + slope * factor
         return [slopes.get(variable, 0) for variable in variables]
+
+    def along(self, results: Sequence[Any], changes: Mapping[int, Any]) -> list[Any]:
+        """Return the derivatives of results for changes of entries, variables or numbers, forward."""
+        ends, found = [self.entry(result) for result in results], dict(changes)
+        for index in self.needed(ends, changes):
+            if not found.keys().isdisjoint(self.inputs[index]):
+                pairs = zip(self.inputs[index], self._slopes(index), strict=True)
+                found[index] = sum(factor * found[k] for k, factor in pairs if k in found)
+        return [found.get(index, 0) for index in ends]
+
+    def _slopes(self, index: int) -> tuple[Any, ...]:
+        """Return the derivatives of an operation by its arguments."""
+        operation, arguments = self.operations[index], [self.at(k) for k in self.inputs[index]]
+        if operation == "neg":
+            return (-1,)
+        if operation in UNARY:
+            return (UNARY[operation](arguments[0], Traced(self, index)),)
+        return BINARY[operation][1](*arguments, Traced(self, index))
 
     def value(self) -> Callable[..., Any]:
         """Return the function itself, as a plain function of the recorded operations."""
