@@ -31,6 +31,7 @@ INVERSES = (
     'their inverses, or read the log with direction="space to body"'
 )
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
+SMALL_STEP = 1e-3  # of the one that leads to the minimum of a linear problem
 MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
 # Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
 ENERGY_DISTANCE = 2.0**-10
@@ -141,8 +142,8 @@ def fit(
     Raises
     ------
     ValueError
-        For unknown names and wrong shapes, for measurements that do not determine the unknowns, or if the minimum is
-        not found.
+        For unknown names and wrong shapes, for measurements that do not determine the unknowns, if the minimum is not
+        found, or if the system permits no other values of the unknowns, as of coefficients that symmetry ties.
     TypeError
         For runs without derivatives, batches, or values that are not numbers.
 
@@ -216,6 +217,7 @@ def fit(
     first = problem.jacobian(np.zeros(count))
     _check_determined(first, problem, "at the guess")
     problem, end = _minimum(problem, first)
+    guess = problem
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
@@ -225,6 +227,8 @@ def fit(
     final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
     squares = float(final @ final)
     contradicts = _contradicts(squares, freedom)
+    if contradicts:
+        _check_permitted(guess, first, end.x)
     J = problem.jacobian(np.zeros(count))
     place = (
         f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees of "
@@ -299,6 +303,17 @@ def _minimum(problem: FitProblem, first: Floats | None = None, **limits: Any) ->
         first = problem.jacobian(np.zeros(len(problem.unknowns))) if first is None else first
         near, first = problem.near_attitudes(first)
         return near, near.minimum(first, **limits)
+
+
+def _check_permitted(problem: FitProblem, first: Floats, moved: Floats) -> None:
+    """Raise ValueError with the reason if the unknowns hardly moved, because a small step to the minimum is refused."""
+    step = SMALL_STEP * np.linalg.lstsq(first, -problem.residuals_of(problem.outputs()), rcond=None)[0]
+    if np.linalg.norm(first @ moved) > np.linalg.norm(first @ step):
+        return
+    try:
+        problem.outputs(step)
+    except ValueError as error:
+        raise ValueError(f"the unknowns cannot move from the guess: {error}") from None
 
 
 def _variance(tried: FitProblem) -> float:

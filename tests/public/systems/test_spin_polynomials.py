@@ -218,6 +218,8 @@ def test_constants_are_fitted_by_name():
         for b in (0.1 + 1e-5, 0.1 - 1e-5)
     ]  # fmt: skip
     np.testing.assert_allclose(moved, (ends[0] - ends[1]) / 2e-5, atol=1e-7)
+    with pytest.raises(ValueError, match="cannot move from the guess: the Stevens coefficients are not allowed"):
+        co.fit(one, start(2), (0, 0.1), {"x": ends[0][None] + 0.1}, {"B40 Mn 0": True}, sigma={"x": 1e-6}, t_eval=[0.1])
 
 
 def test_fitted_coefficients_are_not_forgotten_for_declared_constants():
