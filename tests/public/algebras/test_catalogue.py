@@ -122,7 +122,7 @@ def test_signs_that_are_all_alike_are_those_of_rotations(n):
 
 def test_equal_arguments_give_one_algebra_as_long_as_it_is_in_use():
     for build, arguments in (
-        (co.algebras.so, (9,)),
+        (co.algebras.so, (11,)),
         (co.algebras.so, (5, 2)),
         (co.algebras.heisenberg, (17,)),
         (co.algebras.A3_7, (0.609375,)),
