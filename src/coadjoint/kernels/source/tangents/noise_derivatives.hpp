@@ -39,16 +39,14 @@ class NoiseDerivative {
                 if (table.own) each_coefficient_of(part, add);
                 if (part.kind == IMPLICIT) {
                     std::fill(dv.begin(), dv.end(), 0.0);
-                    Settling settled;
-                    for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
-                        before = dv;
+                    iterate(dv, before, [&] {
                         std::copy_n(dx, n, dm.data());
                         for (double& entry : dv) entry *= 0.5;
                         part.half.push(dv.data(), dm.data());
                         dv = first;
                         add_hessian(part, t, dm.data(), dv.data());
-                        if (settled(dv, before)) break;
-                    }
+                        return true;
+                    });
                 } else {
                     dv = first;
                     add_hessian(part, t, dx, dv.data());
@@ -66,15 +64,14 @@ class NoiseDerivative {
             Part& part = *parts[k];
             part.whole.pull(cotangent, of_v.data());
             first = of_v;
-            Settling settled;
-            for (int64_t k = 0; part.kind == IMPLICIT && k < Settling::MOST_ITERATIONS; ++k) {
-                before = of_v;
+            const auto improve = [&] {
                 std::fill(through.begin(), through.end(), 0.0);
                 add_hessian(part, t, of_v.data(), through.data());
                 part.half.pull(through.data(), row.data());
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
-                if (settled(of_v, before)) break;
-            }
+                return true;
+            };
+            if (part.kind == IMPLICIT) iterate(of_v, before, improve);
             std::fill(through.begin(), through.end(), 0.0);
             add_hessian(part, t, of_v.data(), through.data());
             if (part.kind == IMPLICIT) part.half.pull(through.data(), row.data());
@@ -145,15 +142,16 @@ class NoiseDerivative {
         if (used == parts.size()) parts.emplace_back(new Part(field, of_spins ? &spins : nullptr));
         Part& part = *parts[used++];
         part.kind = kind, part.begin = begin, part.end = end, part.size = size, part.at = now;
-        Settling settled;
-        for (int64_t k = 0; kind == IMPLICIT && k < Settling::MOST_ITERATIONS; ++k) {
-            before = part.at;
+        const auto improve = [&] {
             find_direction(part);
             if (!part.half.of(v.data(), 0.5, now.data())) return false;
             part.at = part.half.end;
-            if (settled(part.at, before)) break;
-        }
-        if (kind != IMPLICIT) find_direction(part);
+            return true;
+        };
+        if (kind != IMPLICIT)
+            find_direction(part);
+        else if (!iterate(part.at, before, improve))
+            return false;
         if (!part.whole.of(v.data(), 1.0, now.data())) return false;
         now = part.whole.end;
         return true;

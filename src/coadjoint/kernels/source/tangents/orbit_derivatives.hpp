@@ -219,26 +219,25 @@ class Exponential {
     }
 };
 
-// Whether a fixed-point iteration ends: its changes are round-off, and no longer fall.
-class Settling {
-  public:
-    static constexpr int64_t MOST_ITERATIONS = 192;
-
-    bool operator()(const std::vector<double>& now, const std::vector<double>& before) {
+// Improve numbers by a fixed-point iteration until its changes are round-off, and no longer fall; false if a step of it is.
+template <class Improve>
+bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+    constexpr int64_t MOST_ITERATIONS = 192;
+    constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40;
+    double last = std::numeric_limits<double>::infinity();
+    for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
+        before = now;
+        if (!improve()) return false;
         double change = 0.0, size = 0.0;
         for (size_t i = 0; i < now.size(); ++i) {
             change += absolute(now[i] - before[i]);
             size += absolute(now[i]);
         }
-        const bool ends = !(change > SETTLED * size) || (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size);
+        if (!(change > SETTLED * size) || (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) break;
         last = change;
-        return ends;
     }
-
-  private:
-    static constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40;
-    double last = std::numeric_limits<double>::infinity();
-};
+    return true;
+}
 
 class OrbitDerivative {
   public:
@@ -281,9 +280,7 @@ class OrbitDerivative {
                     if (adds) first[i] += rate(i) * driven[i] * of_length[i] + tau * along[2 * n + i] * gradients[i];
                 }
                 std::fill(dv.begin(), dv.end(), 0.0);
-                Settling settled;
-                for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
-                    before = dv;
+                iterate(dv, before, [&] {
                     std::copy_n(dx, n, dm.data());
                     for (double& entry : dv) entry *= 0.5;
                     half.push(dv.data(), dm.data());
@@ -293,8 +290,8 @@ class OrbitDerivative {
                     half.add_move(dg.data(), middle.data(), tau, other.data());
                     direction_of(other.data(), dg.data(), tau, dv.data());
                     for (int64_t i = 0; i < n; ++i) dv[i] += first[i];
-                    if (settled(dv, before)) break;
-                }
+                    return true;
+                });
                 one.push(dv.data(), dx);
             }
         }
@@ -317,14 +314,12 @@ class OrbitDerivative {
                 continue;
             }
             first = of_v;
-            Settling settled;
-            for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
-                before = of_v;
+            iterate(of_v, before, [&] {
                 of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
                 half.pull(through.data(), row.data());
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
-                if (settled(of_v, before)) break;
-            }
+                return true;
+            });
             of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
             half.pull(through.data(), row.data());
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
@@ -436,15 +431,14 @@ class OrbitDerivative {
     // As `Force::settle`, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
         std::copy_n(x.data(), n, middle.data());
-        Settling settled;
-        for (int64_t k = 0; k < Settling::MOST_ITERATIONS; ++k) {
+        const bool found = iterate(middle, before, [&] {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
             direction_of(other.data(), gradients.data(), tau, v.data());
-            before = middle;
             if (!half.of(v.data(), 0.5, x.data())) return false;
             middle = half.end;
-            if (settled(middle, before)) break;
-        }
+            return true;
+        });
+        if (!found) return false;
         slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
         for (int64_t i = 0; i < n; ++i) driven[i] = inverse[i] * other[i];
         Exponential& whole = next();
