@@ -14,10 +14,38 @@ namespace {
 
 constexpr int64_t HISTORY = 3;  // midpoints of earlier steps, from which the next one is extrapolated
 
-// One stage, of matrices that are not skew-Hermitian.
+// Schemes of matrices that are not skew-Hermitian.
 template <class T>
-struct Midpoint final : Isospectral<T> {
-    typedef Isospectral<T> Base;
+struct GeneralStep : Isospectral<T> {
+    const Products<T> products;
+
+    explicit GeneralStep(const StepTables& tables)
+        : Isospectral<T>(tables), products(tables.whole[GEMM], this->n, tables.whole[1], layered(tables.whole)),
+          other(this->all) {}
+
+    // The commutator of P and M times a factor, where A = P M.
+    void commutator(const T* P, const T* M, const T* A, double factor, T* to, bool add) {
+        products.multiply(M, P, other.data());
+        for (int64_t e = 0; e < this->all; ++e) {
+            const T value = factor * (A[e] - other[e]);
+            to[e] = add ? to[e] + value : value;
+        }
+    }
+
+    // Add an increment to W, with compensation.
+    void advance(double* W, double* remainder, const T* increment) const {
+        const double* move = reinterpret_cast<const double*>(increment);
+        for (int64_t k = 0; k < this->numbers; ++k) two_sum(W[k], move[k] + remainder[k], W[k], remainder[k]);
+    }
+
+  private:
+    std::vector<T> other;
+};
+
+// One stage.
+template <class T>
+struct Midpoint final : GeneralStep<T> {
+    typedef GeneralStep<T> Base;
     using Base::all, Base::numbers, Base::products, Base::stream;
     std::vector<T> M, P, A, B, move;
 
@@ -28,8 +56,7 @@ struct Midpoint final : Isospectral<T> {
     // memory: the number of midpoints, the step that they belong to, and the midpoints, the last one first.
     void extrapolate(const T* W, double h) {
         double* memory = this->memory;
-        const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
-        const int64_t known = usable ? int64_t(memory[0]) : 0;
+        const int64_t known = this->known_steps(h) ? int64_t(memory[0]) : 0;
         const T* past = memory ? reinterpret_cast<const T*>(memory + 2) : nullptr;
         for (int64_t e = 0; e < all; ++e) {
             const T last = known > 0 ? past[e] : W[e];
@@ -42,8 +69,7 @@ struct Midpoint final : Isospectral<T> {
     void store_history(double h) {
         double* memory = this->memory;
         if (!memory) return;
-        const bool usable = memory[0] == memory[0] && memory[1] == h;
-        const int64_t known = usable ? int64_t(memory[0]) : 0;
+        const int64_t known = this->known_steps(h) ? int64_t(memory[0]) : 0;
         T* past = reinterpret_cast<T*>(memory + 2);
         for (int64_t k = HISTORY - 1; k > 0; --k) std::copy_n(past + (k - 1) * all, all, past + k * all);
         std::copy_n(M.data(), all, past);
@@ -76,10 +102,10 @@ struct Midpoint final : Isospectral<T> {
     }
 };
 
-// Several stages, of matrices that are not skew-Hermitian.
+// Several stages.
 template <class T>
-struct Stages final : Isospectral<T> {
-    typedef Isospectral<T> Base;
+struct Stages final : GeneralStep<T> {
+    typedef GeneralStep<T> Base;
     using Base::square, Base::n, Base::all, Base::numbers, Base::products, Base::stream, Base::stages;
     std::vector<T> V, U, P, K, L, M, A, next, move;
 

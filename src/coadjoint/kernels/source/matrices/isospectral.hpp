@@ -1,4 +1,4 @@
-// Shared parts of the isospectral schemes: tables, commutators, and the stopping criterion of their iterations.
+// Shared parts of the isospectral schemes: tables, and the stopping criterion of their iterations.
 #pragma once
 
 #include <cmath>
@@ -31,38 +31,18 @@ inline double* numbers_of(Complex* matrix) { return reinterpret_cast<double*>(ma
 template <class T>
 struct Isospectral : StepScheme {
     const int64_t n, square, all, numbers, stages;
-    const bool skew;
     const double *a, *b, *c;
-    const Products<T> products;
     Stream<T> stream;
 
     explicit Isospectral(const StepTables& tables)
         : n(tables.whole[0]), square(n * n), all(tables.whole[1] * square),
           numbers(all * int64_t(sizeof(T) / sizeof(double))), stages(tables.whole[STAGES]),
-          skew(!tables.whole[GENERAL]), a(tables.coefficients), b(a + stages * stages), c(b + stages),
-          products(tables.whole[GEMM], n, tables.whole[1], layered(tables.whole)), stream(tables.whole, c + stages) {
+          a(tables.coefficients), b(a + stages * stages), c(b + stages), stream(tables.whole, c + stages) {
         work = 16 * stages * (all * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
     }
 
-    // The commutator of P and M: A = P M is given, and M P is A* if they are skew-Hermitian.
-    void commutator(const T* P, const T* M, T* A, double factor, T* to, bool add) {
-        if (!skew) {
-            other.resize(all);
-            products.multiply(M, P, other.data());
-            for (int64_t e = 0; e < all; ++e) {
-                const T value = factor * (A[e] - other[e]);
-                to[e] = add ? to[e] + value : value;
-            }
-            return;
-        }
-        for (int64_t first = 0; first < all; first += square) skew_part(n, A + first, factor, to + first, add);
-    }
-
-    // Add an increment to W, with compensation.
-    void advance(double* W, double* remainder, const T* increment) const {
-        const double* move = reinterpret_cast<const double*>(increment);
-        for (int64_t k = 0; k < numbers; ++k) two_sum(W[k], move[k] + remainder[k], W[k], remainder[k]);
-    }
+    // Whether the memory has earlier steps, of this length: their number and length are its first two numbers.
+    bool known_steps(double h) const { return memory && memory[0] == memory[0] && memory[1] == h; }
 
     // Whether an iteration has ended, after a correction `change` of entries of size `size`; the outcome is then in
     // `status`.
@@ -90,7 +70,6 @@ struct Isospectral : StepScheme {
   private:
     double first = 0.0, least = 0.0;
     int64_t stagnant = 0;
-    std::vector<T> other;
 };
 
 }  // namespace coadjoint

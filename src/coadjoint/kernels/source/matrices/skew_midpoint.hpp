@@ -9,7 +9,7 @@
 #pragma once
 
 #include "matrices/prediction.hpp"
-#include "matrices/skew_planes.hpp"
+#include "matrices/skew_step.hpp"
 
 namespace coadjoint {
 
@@ -25,8 +25,8 @@ struct Lower<Complex> {
 };
 
 template <class T>
-struct SkewMidpoint final : SkewPlanes<T> {
-    typedef SkewPlanes<T> Base;
+struct SkewMidpoint final : SkewStep<T> {
+    typedef SkewStep<T> Base;
     typedef typename Lower<T>::type LowPrecision;
     using Base::n, Base::square, Base::stream, Base::PARTS, Base::LAST_DIGIT, Base::GROWN, Base::layers, Base::moving;
     using Base::STATE, Base::INVERSE, Base::FIRST, Base::SECOND;
@@ -325,9 +325,6 @@ struct SkewMidpoint final : SkewPlanes<T> {
     // of its last change D of P, and a ring of rows: stream(M + M of the step before - 2 W in between), small and
     // smooth in time. From these, P of the last step is stream(M) + K D. (P is stored instead of M if the stream is a
     // function.) After one step the row is stream(M) + 2 (P - stream(W before it)).
-    bool known_steps(double h) const {
-        return this->memory && this->memory[0] == this->memory[0] && this->memory[1] == h;
-    }
     double* slope_of_last() const { return this->memory + 3 + M.size(); }
     double* past(int64_t steps) const {
         return slope_of_last() + (1 + (int64_t(this->memory[2]) + steps) % HISTORY) * P.size();
@@ -337,7 +334,7 @@ struct SkewMidpoint final : SkewPlanes<T> {
     // predicted by the combination that fits the last one to those before it; in the second step, P - stream(W) at
     // its start is that of the first.
     bool predict(const T* W, double t, double h) {
-        const bool known = known_steps(h), linear = stream.linear();
+        const bool known = this->known_steps(h), linear = stream.linear();
         const bool second = known && linear && this->memory[0] == 1.0;
         double *p = P.data(), *rest = R.data(), *b = base.data(), *g = numbers_of(G.data());
         if (!known || !linear) std::fill(R.begin(), R.end(), 0.0);
@@ -385,7 +382,7 @@ struct SkewMidpoint final : SkewPlanes<T> {
     void store_history(double h, bool corrected) {
         double* memory = this->memory;
         if (!memory) return;
-        const bool known = known_steps(h), linear = stream.linear();
+        const bool known = this->known_steps(h), linear = stream.linear();
         if (!known) memory[0] = 0.0, memory[1] = h, memory[2] = 0.0;
         if (memory[0] > 1.0) memory[2] = double((int64_t(memory[2]) + HISTORY - 1) % HISTORY);
         const double *f = F.data(), *d = D.data(), *rest = R.data(), *p = P.data();

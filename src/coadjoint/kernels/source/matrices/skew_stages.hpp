@@ -7,13 +7,13 @@
 #pragma once
 
 #include "matrices/prediction.hpp"
-#include "matrices/skew_planes.hpp"
+#include "matrices/skew_step.hpp"
 
 namespace coadjoint {
 
 template <class T>
-struct SkewStages final : SkewPlanes<T> {
-    typedef SkewPlanes<T> Base;
+struct SkewStages final : SkewStep<T> {
+    typedef SkewStep<T> Base;
     using Base::n, Base::square, Base::stages, Base::stream, Base::PARTS, Base::LAST_DIGIT, Base::GROWN, Base::layers;
     using Base::moving, Base::INVERSE, Base::FIRST, Base::SECOND, Base::whole, Base::G, Base::image;
 
@@ -22,10 +22,11 @@ struct SkewStages final : SkewPlanes<T> {
 
     const int64_t block;    // numbers of a layer of Z_i: the planes of its parts
     std::vector<double> Z;  // layer by layer of each stage
-    std::vector<double> weight;  // of a layer of Z, by which changes are compared
+    std::vector<double> weight, changes, sizes;  // of layers of Z; changes are compared by weights
 
     explicit SkewStages(const StepTables& tables)
-        : Base(tables, WITH_POINT), block(PARTS * square), Z(stages * moving * block), weight(moving) {
+        : Base(tables, WITH_POINT), block(PARTS * square), Z(stages * moving * block), weight(moving),
+          changes(moving), sizes(moving) {
         this->memory_size = 3 + HISTORY * Z.size();
     }
 
@@ -107,7 +108,7 @@ struct SkewStages final : SkewPlanes<T> {
             add_parts(square, R);
         }
         this->multiply(INVERSE, POINT, FIRST, moving, moving, false);
-        std::vector<double> changes(moving), sizes(moving);
+        std::fill(changes.begin(), changes.end(), 0.0), std::fill(sizes.begin(), sizes.end(), 0.0);
         for (int64_t l = 0; l < moving; ++l)
             for (int64_t p = 0; p < PARTS; ++p) {
                 double* const own = numbers_of(i, l) + p * square;
@@ -152,9 +153,6 @@ struct SkewStages final : SkewPlanes<T> {
 
     // memory: the number of steps that it knows, their length, the row that was written last, and a ring of rows, Z of
     // earlier steps.
-    bool known_steps(double h) const {
-        return this->memory && this->memory[0] == this->memory[0] && this->memory[1] == h;
-    }
     double* past(int64_t steps) const {
         return this->memory + 3 + (int64_t(this->memory[2]) + steps) % HISTORY * Z.size();
     }
@@ -162,7 +160,7 @@ struct SkewStages final : SkewPlanes<T> {
     // Predict Z, each layer of each stage by the combination that fits that of the last step to those before it; without
     // earlier steps from the stream at the start. Return whether that is defined.
     bool predict(const T* W, double t, double h) {
-        if (!known_steps(h)) {
+        if (!this->known_steps(h)) {
             if (!stream.apply(W, t, image.data(), true)) return false;
             ++this->evaluations;
             load_stream(h);
@@ -186,7 +184,7 @@ struct SkewStages final : SkewPlanes<T> {
     void store_history(double h) {
         double* const memory = this->memory;
         if (!memory) return;
-        if (!known_steps(h)) memory[0] = 0.0, memory[1] = h, memory[2] = 0.0;
+        if (!this->known_steps(h)) memory[0] = 0.0, memory[1] = h, memory[2] = 0.0;
         memory[2] = double((int64_t(memory[2]) + HISTORY - 1) % HISTORY);
         std::copy(Z.begin(), Z.end(), past(0));
         memory[0] = std::min(memory[0] + 1.0, double(HISTORY));

@@ -10,7 +10,7 @@
 namespace coadjoint {
 
 template <class T>
-struct SkewPlanes : Isospectral<T> {
+struct SkewStep : Isospectral<T> {
     typedef Isospectral<T> Base;
     using Base::n, Base::square, Base::all, Base::stream;
 
@@ -25,7 +25,7 @@ struct SkewPlanes : Isospectral<T> {
     PlanesOf<T> planes;
     std::vector<T> G, image;  // what a stream reads, and its result
 
-    explicit SkewPlanes(const StepTables& tables, int64_t matrices = MATRICES)
+    explicit SkewStep(const StepTables& tables, int64_t matrices = MATRICES)
         : Base(tables), layers(tables.whole[1]), moving(stream.carries() ? 1 : layers),
           products(tables.whole[REAL_GEMM], n), cayley(tables.whole[REAL_GEMM], n), planes(square, matrices * layers),
           G(all), image(all) {}
