@@ -307,7 +307,8 @@ def _minimum(problem: FitProblem, first: Floats | None = None, **limits: Any) ->
 
 def _check_permitted(problem: FitProblem, first: Floats, moved: Floats) -> None:
     """Raise ValueError with the reason if the unknowns hardly moved, because a small step to the minimum is refused."""
-    step = SMALL_STEP * np.linalg.lstsq(first, -problem.residuals_of(problem.outputs()), rcond=None)[0]
+    step = np.asarray(np.linalg.lstsq(first, -problem.residuals_of(problem.outputs()), rcond=None)[0], np.float64)
+    step *= SMALL_STEP
     if np.linalg.norm(first @ moved) > np.linalg.norm(first @ step):
         return
     try:
