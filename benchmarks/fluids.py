@@ -28,6 +28,7 @@ from typing import Any
 
 ROTATION = 0.1 * 3.141592653589793  # of the fastest mode in a step: what quflow's `estimate_stepsize` recommends
 MANY = 2 * 10**8  # over N^3: timed steps
+ENOUGH = 2.0  # seconds of a timed run, which takes fewer steps then
 
 
 def arguments() -> argparse.Namespace:
@@ -44,8 +45,11 @@ def arguments() -> argparse.Namespace:
 
 
 GIVEN = arguments()
-for pool in ("OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
+for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[pool] = str(GIVEN.threads)
+os.environ["NUMBA_NUM_THREADS"] = (
+    "1"  # two of quflow's loops contend with the BLAS: 81 ms a step instead of 1.9, N = 64
+)
 if GIVEN.threads == 1:
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
@@ -132,10 +136,12 @@ def main() -> None:
         exact, span, fine = ends["coadjoint"], (0.0, GIVEN.steps * step), co.IsospectralGauss(stages=1)
         if k := GIVEN.refined:
             exact = co.integrate(system, W, span, step / k, fine, save_every=GIVEN.steps * k).x[-1]
-        steps = max(GIVEN.steps, MANY // n**3)
+        steps, few = max(GIVEN.steps, MANY // n**3), 5
+        firsts = {name: timed(partial(solve, W, few))[1] / few for name, solve in solvers.items()}
+        enough = {name: min(steps, max(GIVEN.steps, int(ENOUGH / first))) for name, first in firsts.items()}
         for _ in range(GIVEN.rounds):
             for name, solve in solvers.items():
-                taken[name].append(timed(partial(solve, W, steps))[1] / steps)
+                taken[name].append(timed(partial(solve, W, enough[name]))[1] / enough[name])
         whole, shortest = product(n), {name: min(seconds) for name, seconds in taken.items()}
         for name, least in shortest.items():
             share, away = shortest["coadjoint"] / least, np.abs(ends[name] - exact).max() / np.abs(exact).max()
