@@ -46,7 +46,8 @@ class Friction(ModeRates):
     rate : float, or callable
         Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
         ``|n|`` on the torus.
-        A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
+        A mode of rate zero keeps its bits, and negative rates amplify. A function is called once for each scale and
+        is not compiled.
     layer : {"vorticity", "carried"} or int
         The field on which it acts, "vorticity" if the state is one matrix, or in a `layered_qg` the potential vorticity
         of all layers alike. The number of a layer, from 0, is the drag of that layer on its **relative** vorticity,

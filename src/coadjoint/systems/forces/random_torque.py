@@ -49,7 +49,7 @@ class RandomTorque(Force):
     ----------
     strength : float, (3,) or (3, 3) array_like
         Strength about all axes, about each, or a matrix S with ``dL = S dB``, and the covariance ``S S^T dt``; in units
-        of the angular momentum per square root of time.
+        of the angular momentum per square root of time. The sign makes no difference to the statistics.
     axes : {"body", "space"}
         The axes of `strength`. Those of space need an attitude in the state, as of ``co.systems.body``.
     seed : int
