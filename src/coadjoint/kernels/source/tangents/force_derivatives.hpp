@@ -1,6 +1,7 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include "tangents/decay_derivatives.hpp"
 #include "tangents/law_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
@@ -36,8 +37,11 @@ class ForceDerivative {
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
         if (table.kind == derivatives::ON_ORBIT && force.kind == HAMILTONIAN_NOISE)
             noise.reset(new NoiseDerivative(force, tables.field, table));
+        else if (table.kind == derivatives::ON_ORBIT && force.kind == SELECTIVE_DECAY)
+            decay.reset(new DecayDerivative(force, tables.field, table));
         else if (table.kind == derivatives::ON_ORBIT)
             orbit.reset(new OrbitDerivative(force, tables.field, table));
+        if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
         for (int64_t k = 0; k < NODES * table.moved; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
@@ -59,6 +63,7 @@ class ForceDerivative {
         if (orbit && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients))
             throw NotDifferentiated();
+        if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
         if (whole || table.depends) {
             called.resize(count * all.called);
             for (int64_t v = 0; v < count; ++v)
@@ -101,6 +106,7 @@ class ForceDerivative {
         if (law) law->pull(x, at.t, at.tau, row, own);
         if (orbit && !orbit->pull(x, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own)) throw NotDifferentiated();
+        if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();
     }
 
   private:
@@ -123,7 +129,9 @@ class ForceDerivative {
     std::unique_ptr<Force> along;
     std::unique_ptr<OrbitDerivative> orbit;
     std::unique_ptr<NoiseDerivative> noise;
+    std::unique_ptr<DecayDerivative> decay;
     std::unique_ptr<LawDerivative> law;
+    std::unique_ptr<ModeForce> modes;  // of rates
     std::vector<std::unique_ptr<Force>> nearby;
     std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
 
@@ -170,6 +178,8 @@ class ForceDerivative {
     // constant torque its components, and those of kicks their factors.
     void push_affine(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
         if (force.kind == KICKS) return push_kicks(at, x, vectors, count, directions);
+        for (int64_t v = 0; modes && v < count; ++v) modes->carry(vectors + v * n, at.tau, false);
+        if (modes) return;
         find_growth(at);
         if (table.own && is_noisy()) draw(at);
         for (int64_t v = 0; v < count; ++v) {
@@ -250,6 +260,15 @@ class ForceDerivative {
 
     void pull_affine(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
         if (force.kind == KICKS) return pull_kicks(at, x, row, by_coefficients);
+        if (modes) {
+            // The cotangent of the algebra, whose modes have opposite diagonals in common.
+            const int64_t rows = force.extent, square = rows * rows;
+            std::copy_n(row, n, moved.data());
+            for (int64_t first = 0; first < n; first += 2 * square)
+                skew_part(rows, reinterpret_cast<const Complex*>(moved.data() + first), 0.5,
+                          reinterpret_cast<Complex*>(row + first), false);
+            return modes->carry(row, at.tau, true);
+        }
         find_growth(at);
         if (table.own && force.kind == DAMPING) pull_damping(at, x, row, by_coefficients);
         if (table.own && force.kind != DAMPING)
