@@ -11,6 +11,7 @@ from derivative_checks import DIFFERENCE_ERROR, assert_derivatives
 import coadjoint as co
 from guards import bounded_work
 from matrix.forces import first_fitting, force_on
+from refusals import refused
 
 F, H = co.forces, 0.0625
 BODY, TOP = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), co.systems.heavy_top(inertia=(1.0, 2.0, 2.5))
@@ -160,6 +161,34 @@ ON_ORBITS = {
 def test_damping_and_noise_on_orbits_and_kicks(name, others):
     base, x0, force, method = ON_ORBITS[name]
     assert_derivatives(acting(base, *others, force), method, x0, (0.5, 0.5 + 6 * H), H)
+
+
+TURNED = {name: case[:3] for name, case in ON_ORBITS.items() if case[2].around_steps and case[0] is not RING}
+
+
+@pytest.mark.parametrize("others", [(), (F.LinearDamping(0.1),)], ids=["alone", "behind a damping"])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=["splitting", "Gauss"])
+@pytest.mark.parametrize("name", TURNED)
+def test_noise_that_turns_the_attitude(name, method, others):
+    """Of members, whose energies are shifted in splittings; attitudes are linear in the initial one."""
+    base, x0, force = TURNED[name]
+    attitude = "coadjoint" if base is TOP else True
+    x0, span = np.outer([1.0, 0.5, -1.5], x0), (0.5, 0.5 + 6 * H)
+    assert_derivatives(acting(base, *others, force), method, x0, span, H, attitude=attitude)
+    sol, pullback = co.prepare(base.with_forces(*others, force), method, H, attitude=attitude).vjp(x0, span)
+    weights = np.random.default_rng(5).standard_normal(sol.attitude.shape)
+    along_start = np.sum(pullback(attitude=weights)["attitude0"] * sol.attitude[0])
+    assert abs(along_start - np.sum(weights * sol.attitude)) < 1e-12 * np.abs(weights * sol.attitude).sum()
+    assert np.abs(sol.attitude[-1] - sol.attitude[-1][[1, 2, 0]]).max() > 0.01  # each member has its own noise
+
+
+def test_noise_without_second_derivatives_is_not_differentiated_with_an_attitude():
+    """Without it, the flow is differentiated in Python."""
+    H1 = co.Hamiltonian(lambda x: np.sin(x[0]), gradient=lambda x: np.array([np.cos(x[0]), 0.0, 0.0]))
+    system = BODY.with_forces(shaken(0.4, H1))
+    with refused(TypeError, "HamiltonianNoise", "attitude=", "hessian"):
+        co.prepare(system, co.Splitting(), H, attitude=True).jvp(X3, (0.0, 1.0), {"x0": X3})
+    assert np.isfinite(co.prepare(system, co.Splitting(), H).jvp(X3, (0.0, 1.0), {"x0": X3})[1].x).all()
 
 
 def test_noise_and_damping_of_spins_take_bounded_work():
