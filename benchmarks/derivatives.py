@@ -90,8 +90,7 @@ def systems_with_forces() -> Iterator[tuple[str, str, object, np.ndarray, bool]]
                     yield name, label, system, (spins / np.linalg.norm(spins, axis=1)[:, None]).ravel(), False
                 elif label == "body":
                     yield name, label, system, np.array([0.3, 1.0, 0.2]), False
-                    if not any(force.around_steps for force in system.forces):
-                        yield name, "body, attitude", system, np.array([0.3, 1.0, 0.2]), True
+                    yield name, "body, attitude", system, np.array([0.3, 1.0, 0.2]), True
 
 
 def of_forces(steps: int, rounds: int, wanted: list[str]) -> None:

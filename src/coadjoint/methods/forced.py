@@ -16,8 +16,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.systems.time_spans import check_span
 
 if TYPE_CHECKING:
@@ -101,6 +101,8 @@ def flow_of_force(
 ) -> LinearizedStep:
     """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order."""
     known = force.tangent(system, x, t, tau)
+    if isinstance(known, LinearizedStep):
+        return known
     if known is not None:
         end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)
         return dense_step(end, np.asarray(known, dtype=np.float64))

@@ -19,9 +19,9 @@ from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 

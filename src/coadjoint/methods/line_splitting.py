@@ -17,13 +17,13 @@ from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.program.numbers import full_precision
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
+from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from derivative_checks import DIFFERENCE_ERROR, assert_derivatives
 
 import coadjoint as co
 from guards import bounded_work
-from matrix.forces import first_fitting
+from matrix.forces import first_fitting, force_on
+from refusals import refused
 
 F, H = co.forces, 0.0625
 BODY, TOP = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)), co.systems.heavy_top(inertia=(1.0, 2.0, 2.5))
@@ -88,6 +90,7 @@ CASES = {
     "double bracket": (BODY, (F.DoubleBracketDamping(0.4, (0.5, 1.0, 2.0)),), co.Splitting(order=4), 1),
     "matrix as metric": (BODY, (F.DoubleBracketDamping(0.4, METRIC),), co.Splitting(), 1),
     "of a top": (TOP, (F.DoubleBracketDamping(0.4), F.LinearDamping(0.1)), co.Splitting(order=4), 1),
+    "selective decay": (BODY, (F.Torque(AIM), F.SelectiveDecay(0.4), F.LinearDamping(0.1)), co.Splitting(), 3),
 }
 NOISES = {
     "bath": (BODY, (F.HeatBath(0.3, temperature=0.5, seed=7),), co.Splitting(), 1),
@@ -104,7 +107,8 @@ def test_flows_are_differentiated_around_steps(name, attitude):
     base, forces, method, members = CASES[name]
     x0 = X3 if base is BODY else X6
     x0 = x0 if members == 1 else np.outer(np.linspace(0.5, 1.5, members), x0)
-    backward = attitude and "large" not in name
+    backward = attitude and all(force.reversible for force in forces)
+    backward = backward and "large" not in name
     span = (0.5, 0.5 + (-5 if backward else 5) * H)
     # Those of a damping in coordinates grow with its rates.
     error = DIFFERENCE_ERROR * (16 if members > 8 or "large" in name else 1)
@@ -131,11 +135,15 @@ def shaken(strength, *energies, **more):
     return F.HamiltonianNoise(energies, strength, seed=3, **more)
 
 
+OF_WAVE = co.LiePoissonSystem(co.algebras.so(3), WAVE + co.Polynomial({(4, 0, 0): 0.3}))
+FIELD = co.systems.spin_lattice("ring", 3, field=(0.2, 0.3, 0.1))
 # Noise whose flows are rotations, exponentials of parts, and midpoint rules, damping of spins, and kicks.
 ON_ORBITS = {
     "of spins": (RING, X9, F.Gilbert((0.3, 0.2, 0.5), temperature=(0.5, 0.2, 0.3), seed=7), co.SphericalMidpoint()),
     "of spins at rest": (RING, X9, F.Gilbert((0.3, 0.0, 0.5)), co.SphericalMidpoint()),
     "of one constant": (RING, X9, F.Gilbert(0.3), co.Splitting()),
+    "decay of spins": (FIELD, X9, F.SelectiveDecay(0.4), co.SphericalMidpoint()),
+    "decay of a function": (OF_WAVE, X3, F.SelectiveDecay(0.4), co.GaussLegendre(1)),
     "field": (RING, X9, F.RandomField((0.4, 0.2, 0.3), seed=1), co.Splitting()),
     "one axis": (BODY, X3, shaken(0.4, AXIAL, levels=2), co.Splitting()),
     "cubic": (BODY, X3, shaken((0.4, 0.3), CUBIC, AXIAL), co.Splitting()),
@@ -153,6 +161,34 @@ ON_ORBITS = {
 def test_damping_and_noise_on_orbits_and_kicks(name, others):
     base, x0, force, method = ON_ORBITS[name]
     assert_derivatives(acting(base, *others, force), method, x0, (0.5, 0.5 + 6 * H), H)
+
+
+TURNED = {name: case[:3] for name, case in ON_ORBITS.items() if case[2].around_steps and case[0] is not RING}
+
+
+@pytest.mark.parametrize("others", [(), (F.LinearDamping(0.1),)], ids=["alone", "behind a damping"])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=["splitting", "Gauss"])
+@pytest.mark.parametrize("name", TURNED)
+def test_noise_that_turns_the_attitude(name, method, others):
+    """Of members, whose energies are shifted in splittings; attitudes are linear in the initial one."""
+    base, x0, force = TURNED[name]
+    attitude = "coadjoint" if base is TOP else True
+    x0, span = np.outer([1.0, 0.5, -1.5], x0), (0.5, 0.5 + 6 * H)
+    assert_derivatives(acting(base, *others, force), method, x0, span, H, attitude=attitude)
+    sol, pullback = co.prepare(base.with_forces(*others, force), method, H, attitude=attitude).vjp(x0, span)
+    weights = np.random.default_rng(5).standard_normal(sol.attitude.shape)
+    along_start = np.sum(pullback(attitude=weights)["attitude0"] * sol.attitude[0])
+    assert abs(along_start - np.sum(weights * sol.attitude)) < 1e-12 * np.abs(weights * sol.attitude).sum()
+    assert np.abs(sol.attitude[-1] - sol.attitude[-1][[1, 2, 0]]).max() > 0.01  # each member has its own noise
+
+
+def test_noise_without_second_derivatives_is_not_differentiated_with_an_attitude():
+    """Without it, the flow is differentiated in Python."""
+    H1 = co.Hamiltonian(lambda x: np.sin(x[0]), gradient=lambda x: np.array([np.cos(x[0]), 0.0, 0.0]))
+    system = BODY.with_forces(shaken(0.4, H1))
+    with refused(TypeError, "HamiltonianNoise", "attitude=", "hessian"):
+        co.prepare(system, co.Splitting(), H, attitude=True).jvp(X3, (0.0, 1.0), {"x0": X3})
+    assert np.isfinite(co.prepare(system, co.Splitting(), H).jvp(X3, (0.0, 1.0), {"x0": X3})[1].x).all()
 
 
 def test_noise_and_damping_of_spins_take_bounded_work():
@@ -414,12 +450,36 @@ def taken_by(name):
 REGISTERED = {name: system for name in co.forces.names() if (system := taken_by(name)) is not None}
 
 
-@pytest.mark.thinned(8)
+FLUIDS = {
+    "torus": co.systems.torus_euler(N=5),
+    "turning sphere": co.systems.sphere_euler(N=5, rotation=1.5),
+    "mhd": co.systems.reduced_mhd(N=5),
+    "scalar": co.systems.passive_scalar(N=5),
+    "buoyancy": co.systems.thermal_qg(N=5, gamma=0.5),
+    "layers": co.systems.layered_qg(N=5, gamma=[[3.0, -3.0], [-1.5, 1.5]], thicknesses=[1.0, 2.0], rotation=0.25),
+    "body of matrices": co.systems.matrix_body((1.0, 2.0, 3.5, 4.0)),
+}
+
+
+def on_fluids():
+    """Yield names of registered forces on systems of matrices, with these."""
+    for (label, fluid), name in product(FLUIDS.items(), co.forces.names()):
+        with suppress(TypeError, ValueError):  # forces that do not act on it
+            yield f"{name} on {label}", fluid.with_forces(force_on(name, fluid))
+
+
+REGISTERED |= dict(on_fluids())
+REGISTERED["Friction of one layer"] = FLUIDS["layers"].with_forces(F.Friction(0.3, layer=1))
+REGISTERED["Viscosity of the carried field"] = FLUIDS["buoyancy"].with_forces(F.Viscosity(0.03, layer="carried"))
+
+
+@pytest.mark.thinned(12)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("place", ["alone", "before a damping", "behind a damping"])
 @pytest.mark.parametrize("name", REGISTERED)
 def test_every_registered_force_is_differentiated(name, place):
-    alone, damping = REGISTERED[name], F.LinearDamping(0.2)
+    alone = REGISTERED[name]
+    damping = F.Friction(0.2) if getattr(alone, "fluid", None) is not None else F.LinearDamping(0.2)
     orders = {
         "alone": alone.forces,
         "before a damping": (*alone.forces, damping),

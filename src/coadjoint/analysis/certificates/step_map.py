@@ -18,10 +18,10 @@ from coadjoint.analysis.structure_defects import defect_of_tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.run_tables import compiled_tangents
 from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]

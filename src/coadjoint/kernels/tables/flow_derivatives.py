@@ -106,8 +106,6 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     force, plain = system.flows[j][1], system.unforced
     using = [number for number, entry in enumerate(entries) if j in entry.flows]
     in_python = FlowCoefficients("IN_PYTHON", first)
-    if force.around_steps and plain.has_matrices:
-        return in_python
     table = flow_table(system, j, order)
     kind = {code: name for name, code in codes("ForceKind").items()}[table.kind]
     found = in_python
@@ -123,20 +121,24 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
         found = _on_orbit(system, j, entries, using, first, 3 if table.extent else 2)
     elif kind == "HAMILTONIAN_NOISE" and all(one.differentiable for H in _energies(force, plain) for one in H.terms()):
         found = FlowCoefficients("ON_ORBIT", first)
+    elif kind == "SELECTIVE_DECAY" and (
+        plain.has_matrices or all(term.differentiable for term in plain.hamiltonian.terms())
+    ):
+        found = _on_orbit(system, j, entries, using, first, 1)
     names = COEFFICIENTS.get(kind, ())
     if kind == "DAMPING" and table.amplitude.any():
         names = (*names, "basis")
     # Squares of which functions consist have the strength of a noise in them.
     if names and found is not in_python and not (kind == "HAMILTONIAN_NOISE" and (table.aim < 0.0).any()):
         found = _of_numbers(system, j, order, names, entries, found)
-    if found.kind == "IN_PYTHON":
+    if found.kind == "IN_PYTHON" and not plain.has_matrices:
         return found
     moved = [
         number
         for number in using
         if number not in found.covered
-        # On orbits tables contain the field of the unchanged energy.
-        and (found.kind != "ON_ORBIT" or entries[number].field)
+        # On orbits tables of vectors contain the field of the unchanged energy.
+        and (found.kind != "ON_ORBIT" or entries[number].field or plain.has_matrices)
         and _moved_flows(system, j, entries[number], order) is not None
     ]
     places = [(first + found.own + k, number, 1.0) for k, number in enumerate(moved)]
@@ -145,7 +147,7 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
         moved=tuple(moved),
         covered=covered,
         multiples=concatenated([found.multiples, Multiples.of_triplets(places)]),
-        in_python=not covered.issuperset(using),
+        in_python=found.kind == "IN_PYTHON" or not covered.issuperset(using),
     )
 
 
@@ -234,13 +236,13 @@ def _of_law(system: Any, j: int, entries: Sequence[Any], first: int) -> FlowCoef
 def _on_orbit(
     system: Any, j: int, entries: Sequence[Any], using: Sequence[int], first: int, kinds: int
 ) -> FlowCoefficients:
-    """Return the coefficients of a damping on orbits: `kinds` of its direction by coordinate, and coefficients of H."""
-    n, known = system.dim, system.flows[j][1].scalings(system.unforced)
+    """Return the coefficients of a damping on orbits: `kinds`, by coordinate if there are several, and those of H."""
+    n, known = system.dim if kinds > 1 else 1, system.flows[j][1].scalings(system.unforced)
     triplets, covered = list[tuple[int, int, float]](), set[int]()
     energies: dict[str, EnergyDerivative] = {}
     for number in using:
         entry = entries[number]
-        if entry.energy is not None:
+        if entry.energy is not None and not system.has_matrices:
             energies[entry.name] = entry.energy
             covered.add(number)
         elif entry.field in known:
@@ -248,9 +250,11 @@ def _on_orbit(
             for start, factor in zip(range(first, first + n * kinds, n), known[entry.field], strict=True):
                 values = np.broadcast_to(factor if np.ndim(factor) < 2 else factor[entry.entry], n)
                 triplets += [(start + i, number, float(values[i])) for i in np.flatnonzero(values).tolist()]
+    if system.has_matrices:
+        return FlowCoefficients("ON_ORBIT", first, kinds * n, frozenset(covered), Multiples.of_triplets(triplets))
     apart = {name: one.apart for name, one in energies.items()}
     joined = EnergyDerivative.joined(list(apart.values()))
-    added, of_monomials = terms_of(joined, n)
+    added, of_monomials = terms_of(joined, system.dim)
     multiples = [Multiples.of_triplets(triplets)]
     for name, one in of_monomials.split({name: energy.size for name, energy in apart.items()}).items():
         of_energy = one.of_energy(energies[name])
@@ -290,7 +294,10 @@ def flow_derivatives(
     matrix, shape, hessians, functions = np.zeros(len(lengths)), "MULTIPLE", NO_ADDRESSES, NO_ADDRESSES
     added = TermTable().table(float)
     force = system.flows[j][1]
-    if flow.kind == "AFFINE" and not force.random:  # the kernels have the matrix of a noise from its table
+    # The kernels have the matrix of a noise, and of modes without a buoyancy, from its table.
+    on_modes = flow_table(system, j, order).kind == codes("ForceKind")["MODE_RATES"]
+    in_table = force.random or (on_modes and plain.buoyancy is None)
+    if flow.kind == "AFFINE" and not in_table:
         tangents = [_tangent(force, plain, 0.5 * length) for length in lengths]
         shape = ("MULTIPLE", "DIAGONAL", "FULL")[tangents[0].ndim]
         unit = np.eye(system.dim) if shape == "FULL" else 1.0
@@ -312,7 +319,7 @@ def flow_derivatives(
         assert beside is not None
         structure = as_structure(beside[0])
         along, owners = ctypes.addressof(structure), (structure, *beside[1])
-    elif flow.kind == "ON_ORBIT" and flow.energy is None:
+    elif flow.kind == "ON_ORBIT" and flow.energy is None and not plain.has_matrices:
         each = [terms_of_field(with_hamiltonian(plain, H)) for H in _energies(force, plain)]
         compiled = [addresses_of(terms.functions, len(terms), "hessian", force.label) for terms in each]
         hessians = np.concatenate([NO_ADDRESSES, *(addresses for addresses, _ in compiled)])

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.step_derivatives import LinearizedStep
 
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.method import Method, Representation, is_short
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.program.numbers import full_precision
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import of
+from coadjoint.systems.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.keyword_hints import Abstract
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties, check_attitude
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
+from coadjoint.systems.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from coadjoint.errors import LargeStepWarning, unknown_name
 from coadjoint.long_operations import warn_caller
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import overflow, read_like
@@ -21,6 +20,7 @@ from coadjoint.runs.derivatives.located_trajectory import function_of_rows
 from coadjoint.runs.derivatives.run_tables import INPUTS
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import gradients_at
+from coadjoint.systems.step_derivatives import derivative_of
 
 Floats = NDArray[np.float64]
 

@@ -170,6 +170,12 @@ class ForcedTables:
         for j in range(len(system.flows)):
             self._flows.append(flow_coefficients(system, j, entries, scheme.order, start))
             start += self._flows[-1].own + len(self._flows[-1].moved)
+            position, flow = system.flows[j]
+            if attitudes is not None and flow.around_steps and self._flows[-1].in_python:
+                raise TypeError(
+                    f"{system.labels[position]} turns the group element too, and its functions have no second "
+                    "derivatives in the kernels; prepare the run without attitude=, or take functions with hessian="
+                )
         self._factors, self._count = start, start + len(inner.shift)
 
     def structure(

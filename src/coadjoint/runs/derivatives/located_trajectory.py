@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.crossings import WatchedEvents, coordinate_of
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
@@ -20,6 +19,7 @@ from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
+from coadjoint.systems.step_derivatives import derivative_of
 from coadjoint.systems.user_functions import with_time
 
 Floats = NDArray[np.float64]

@@ -50,12 +50,6 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         return _of_scheme(run, run.system, run.inputs, h, names, by_inputs)
     plain, inputs, representation = run.system.unforced, run.inputs, run.representation
     scheme = cast(Forced, run.scheme)
-    turning = [label for label, force in zip(run.system.labels, run.system.forces, strict=True) if force.around_steps]
-    if turning and representation is not None:
-        raise TypeError(
-            f"{turning[0]} turns the group element too, and derivatives of that are not known; prepare the run without "
-            "attitude=, or take a system whose state has the attitude, such as co.systems.body"
-        )
     of_plain = None if inputs is None else inputs.of_hamiltonian
     in_energy = [name for name in names if name in parameters_of(plain)]
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)

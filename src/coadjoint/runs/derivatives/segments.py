@@ -16,13 +16,13 @@ from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advanc
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables, Kernel
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.generators import group_side
 from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import split_members, sum_in_threads
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS, NearbySystems, differences
+from coadjoint.systems.step_derivatives import LinearizedStep
 
 Floats = NDArray[np.float64]
 

@@ -16,10 +16,13 @@ from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.keyword_hints import Abstract
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.coordinates import check_moved, kinds_of
+from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.time_spans import sample_time_of
 from coadjoint.validation import as_tuples, read_finite, read_integer, read_nonnegative, set_fields, to_array
 
 Plain = float | tuple[Any, ...]
+Tangent = NDArray[np.float64] | LinearizedStep | None
+"""Derivative of a flow by the state: a number, a diagonal, a matrix, or linear maps; None if no formula is known."""
 
 
 class Noise(NamedTuple):
@@ -323,7 +326,7 @@ class Force(Abstract):
         """
         return self.flow(system, x, t, tau)
 
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         """Return the derivative of `flow` by the state, or None if no formula for it is known.
 
         Without a formula the flow is differentiated by complex steps if it supports complex numbers, else by
@@ -336,8 +339,9 @@ class Force(Abstract):
 
         Returns
         -------
-        ndarray or None
-            A multiple of the unit matrix as a number, a diagonal, (n,), or a matrix, (n, n).
+        ndarray, LinearizedStep or None
+            A multiple of the unit matrix as a number, a diagonal, (n,), or a matrix, (n, n); or the flow with functions
+            that apply its derivative and the transpose.
         """
         return None
 

@@ -18,6 +18,7 @@ from coadjoint.systems.forces.base import (
     ForceReader,
     Noise,
     Plain,
+    Tangent,
     apply_metric,
     check_dimension,
     normal_deviates,
@@ -43,6 +44,7 @@ from coadjoint.systems.matrices.conjugation import (
     with_layers,
 )
 from coadjoint.systems.matrices.conjugation import exponential as unitary
+from coadjoint.systems.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.validation import read_nonnegative
 
 
@@ -192,7 +194,7 @@ class DoubleBracketDamping(Force):
             residual=last_change,
         )
 
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         """Return the derivative of the midpoint rule, by that of its equation."""
         if system.has_matrices:
             return damping_tangent(system, self._factor(system), system.matrices(x), t, tau)
@@ -361,7 +363,7 @@ class HeatBath(DoubleBracketDamping):
         x = self._apply_noise(system, x, float(t), float(tau), 0)
         return self._apply_noise(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         """Return the derivative of the flow with the same noise."""
         if system.has_matrices:
             return self._tangent_of_matrices(system, x, t, tau)
@@ -383,15 +385,16 @@ class HeatBath(DoubleBracketDamping):
             return super().scalings(system)
         return {**super().scalings(system), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
-    def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
-        product, X = np.eye(system.dim), system.matrices(x)
+    def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> LinearizedStep:
+        steps, X = list[LinearizedStep](), system.matrices(x)
         for half in range(2):
             if half:
-                product = damping_tangent(system, self._factor(system), X, t, tau) @ product
-                X = damped(system, self._factor(system), X, t, tau)
+                steps.append(damping_tangent(system, self._factor(system), X, t, tau))
+                X = system.from_vector(steps[-1].end)
             for U in self._unitary_noise(system, t, tau, half):
-                product, X = conjugation_tangent(system, U) @ product, conjugated(system, U, X)
-        return np.asarray(product)
+                steps.append(conjugation_tangent(system, U, X))
+                X = system.from_vector(steps[-1].end)
+        return joined_steps(steps)
 
     def _unitary_noise(self, system: Any, t: float, tau: float, half: int) -> Iterator[NDArray[Any]]:
         """Yield what conjugates matrices in half of the noise: a shear of a second layer, then one exponential."""

@@ -105,7 +105,8 @@ class LinearDamping(Force):
         return system.frame_rate is not None and np.ndim(self.toward) == 0 and self.toward == 0.0
 
     def _needs_energy(self, system: Any) -> bool:
-        return self._in_turning_frame(system)
+        at_rest = np.ndim(self.toward) == 0 and getattr(system, "absolute", None) is not None  # of a planet
+        return self._in_turning_frame(system) or at_rest
 
     def _rates(self, system: Any) -> NDArray[np.float64]:
         """Return the rates; a number is that of each momentum, and those on bodies are of their angular momenta."""

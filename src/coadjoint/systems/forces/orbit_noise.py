@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.systems.coordinates import KINDS
-from coadjoint.systems.forces.base import Force, ForceReader, read_seed
+from coadjoint.systems.forces.base import Force, ForceReader, Tangent, read_seed
 from coadjoint.systems.forces.matrix_noise import MatrixNoise, brownian_increments
 from coadjoint.systems.forces.orbit_flow import (
     exponential,
@@ -24,6 +24,7 @@ from coadjoint.systems.matrices.conjugation import (
     conjugated,
     conjugation_tangent,
 )
+from coadjoint.systems.step_derivatives import dense_step, joined_steps
 from coadjoint.validation import as_tuples, read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -228,12 +229,13 @@ class NoiseOnSide(NamedTuple):
     def flow_of_order(self, system: Any, x: NDArray[Any], t: Any, tau: Any, order: int) -> NDArray[Any]:
         return self.noise._apply(system, x, t, tau, self.side)
 
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Floats | None:
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         product, y = np.eye(len(x)), x
         if system.has_matrices:
+            steps = [dense_step(x, np.array(1.0))]
             for U in self.noise._unitaries(system, t, tau, self.side):
-                product = conjugation_tangent(system, U) @ product
-            return product
+                steps.append(conjugation_tangent(system, U, system.from_vector(steps[-1].end)))
+            return joined_steps(steps)
         for term, v in self.noise._flows(system, t, tau, self.side):
             if term is not None:
                 return None

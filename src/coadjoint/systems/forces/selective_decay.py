@@ -193,6 +193,9 @@ class SelectiveDecay(Force):
         whole[brackets.part, brackets.part] = 2.0 * np.linalg.solve(np.eye(len(m)) - c * A, units) - units
         return np.asarray(whole)
 
+    def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        return {"rate": (1.0,)}
+
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.selective_decay(self.rate, system)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import IntegrationError
+from coadjoint.systems.step_derivatives import LinearizedStep
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -61,7 +64,7 @@ def exponential(system: Any, A: Matrix) -> Matrix:
 
 def conjugated(system: Any, U: Matrix, X: Matrix) -> Matrix:
     """Return U X U* for states (..., N, N) or (..., 2, N, N)."""
-    return times(system, times(system, U, X), np.conj(np.swapaxes(U, -1, -2)))
+    return times(system, times(system, U, X), _adjoint(U))
 
 
 def damping_element(system: Any, factor: float, X: Matrix, t: float) -> Matrix:
@@ -94,26 +97,104 @@ def damped(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Matri
     return np.asarray(X + system.bracket(A, M))
 
 
-def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Floats:
-    """Return the derivative (n, n) of `damped` along the algebra, by that of the equation of the midpoint."""
+def along_algebra(
+    system: Any, end: Matrix, forward: Callable[[Matrix], Matrix], backward: Callable[[Matrix], Matrix]
+) -> LinearizedStep:
+    """Return a flow whose derivative maps matrices of the algebra, with the transpose."""
+    project = system.algebra.projected
+
+    def tangents(rows: Floats) -> Floats:
+        return np.asarray(system.to_vector(forward(project(system.from_vector(rows)))))
+
+    def cotangent(row: Floats) -> Floats:
+        # Products of pairs A0 + eps A1 are transposed by those of the adjoints, between exchanges of the layers.
+        found = backward(_exchanged(system, project(system.from_vector(row))))
+        return np.asarray(system.to_vector(project(_exchanged(system, found))))
+
+    return LinearizedStep(system.to_vector(end), tangents, cotangent)
+
+
+def _exchanged(system: Any, X: Matrix) -> Matrix:
+    """Return pairs A0 + eps A1 in reverse order; other states are unchanged."""
+    return X if len(system.matrix_shape) == 2 or system.independent_layers else X[..., ::-1, :, :]
+
+
+def _adjoint(X: Matrix) -> Matrix:
+    return np.conj(np.swapaxes(X, -1, -2))
+
+
+def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float) -> LinearizedStep:
+    """Return `damped` with its derivative, by that of the equation of the midpoint."""
+    # M = L X L* with L = (1 - A/2)^-1; its change is L dX L* + (Z - Z*)/2 with Z = L dA M.
     M, A = damped_midpoint(system, factor, X, t, tau)
-    units = system.algebra.projected(system.from_vector(np.eye(system.dim)))
-    Y, bracket = system.stream_of(M, t + 0.5 * tau), system.bracket
-    of_A = tau * factor * system.dual(bracket(system.slope_of(units), M) + bracket(Y, units))
-    if acting_layers(system) < len(system.matrix_shape) - 1:
-        of_A[..., 1, :, :] = 0.0
-    moved = bracket(of_A, M) + bracket(A, units)
-    squares = times(system, times(system, of_A, M), A) + times(system, times(system, A, units), A)
-    squares = squares + times(system, times(system, A, M), of_A)
-    of_X = system.to_vector(np.asarray(system.from_vector(np.eye(system.dim))) - 0.5 * moved - 0.25 * squares).T
-    inverse = np.linalg.inv(of_X) @ system.to_vector(units).T
-    return np.asarray(system.to_vector(units).T + system.to_vector(moved).T @ inverse)
+    Y, bracket, middle = system.stream_of(M, t + 0.5 * tau), system.bracket, t + 0.5 * tau
+    L, acting = _resolvent(system, A), acting_layers(system) == len(system.matrix_shape) - 1
+
+    def element(Z: Matrix) -> Matrix:
+        A = tau * factor * system.dual(Z)
+        if not acting:
+            A[..., 1, :, :] = 0.0
+        return np.asarray(A)
+
+    def change_of_element(dM: Matrix) -> Matrix:
+        return element(bracket(system.slope_of(dM, middle), M) + bracket(Y, dM))
+
+    def element_transposed(a: Matrix) -> Matrix:
+        given = _exchanged(system, a)
+        if not acting:
+            given = given * np.array([1.0, 0.0])[:, None, None]
+        b = _exchanged(system, tau * factor * system.dual(given))
+        of_stream = system.slope_transposed(_exchanged(system, bracket(M, b)))
+        return np.asarray(_exchanged(system, of_stream) - bracket(Y, b))
+
+    def forward(dX: Matrix) -> Matrix:
+        start = conjugated(system, L, dX)
+
+        def improved(dM: Matrix) -> Matrix:
+            Z = times(system, times(system, L, change_of_element(dM)), M)
+            return np.asarray(start + 0.5 * (Z - _adjoint(Z)))
+
+        dM = _fixed_point(improved, start, t)
+        return np.asarray(dX + bracket(change_of_element(dM), M) + bracket(A, dM))
+
+    def backward(row: Matrix) -> Matrix:
+        start = element_transposed(bracket(M, row)) - bracket(A, row)
+
+        def improved(m: Matrix) -> Matrix:
+            Q = times(system, times(system, _adjoint(L), m), M)
+            return np.asarray(start + element_transposed(0.5 * (_adjoint(Q) - Q)))
+
+        return np.asarray(row + conjugated(system, _adjoint(L), _fixed_point(improved, start, t)))
+
+    return along_algebra(system, X + bracket(A, M), forward, backward)
 
 
-def conjugation_tangent(system: Any, U: Matrix) -> Floats:
-    """Return the derivative (n, n) of a conjugation along the algebra."""
-    units = system.algebra.projected(system.from_vector(np.eye(system.dim)))
-    return np.asarray(system.to_vector(conjugated(system, U, units)).T)
+def _resolvent(system: Any, A: Matrix) -> Matrix:
+    """Return (1 - A/2)^-1."""
+    if len(system.matrix_shape) == 2 or system.independent_layers:
+        return np.linalg.inv(np.eye(A.shape[-1]) - 0.5 * A)
+    first = np.linalg.inv(np.eye(A.shape[-1]) - 0.5 * A[0])
+    return np.stack([first, 0.5 * first @ A[1] @ first])
+
+
+def _fixed_point(improved: Callable[[Matrix], Matrix], start: Matrix, t: float) -> Matrix:
+    """Return the solution of X = improved(X), a linear equation, to round-off."""
+    X, last = start, np.inf
+    for _ in range(MAX_MIDPOINTS):
+        before, X = X, improved(X)
+        change, size = float(np.abs(X - before).max(initial=0.0)), float(np.abs(X).max(initial=0.0))
+        if change == 0.0 or (change >= 0.5 * last and change <= NEAR_ROUND_OFF * size):
+            return X
+        last = change
+    raise IntegrationError(
+        "the derivative of the damping did not converge; take a smaller step", step=1, time=t, residual=last
+    )
+
+
+def conjugation_tangent(system: Any, U: Matrix, X: Matrix) -> LinearizedStep:
+    """Return a conjugation with its derivative."""
+    maps = [partial(conjugated, system, one) for one in (U, _adjoint(U))]
+    return along_algebra(system, maps[0](X), *maps)
 
 
 def adjoint_casimir(block: Any) -> float:

@@ -8,6 +8,15 @@
 namespace coadjoint {
 
 class ModeForce {
+    // What the change k adds to a mode, with a sign of the imaginary part.
+    auto change_of(int64_t k, double sign) const {
+        const double* const weights = table.rate + (1 + k) * modes.count();
+        return [this, weights, sign](int64_t e, const Complex& c) {
+            const double real = weights[e] * values[2 * e], imaginary = sign * weights[e] * values[2 * e + 1];
+            return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
+        };
+    }
+
   public:
     explicit ModeForce(const ForceTable& table) : table(table), modes(table) {}
 
@@ -16,7 +25,7 @@ class ModeForce {
     // weights of what is read. `aim` is the state at rest, if `sets` is one, then the factors of the buoyancy.
     void relax(double* x, double tau) {
         if (prepared_for != tau) prepare(tau);
-        const int64_t square = modes.size() * modes.size(), count = modes.count();
+        const int64_t square = modes.size() * modes.size();
         Complex* const X = reinterpret_cast<Complex*>(x);
         const Complex* rest = table.sets ? reinterpret_cast<const Complex*>(table.aim) : nullptr;
         const double* const factors = table.function[1] ? table.aim + 4 * square : nullptr;
@@ -28,11 +37,7 @@ class ModeForce {
         }
         for (int64_t k = 0; k < table.function[0]; ++k) {
             const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
-            const double* const weights = table.rate + (1 + k) * count;
-            modes.change(X + changed, X + read, rest ? rest + read : nullptr, false, [&](int64_t e, const Complex& c) {
-                const double real = weights[e] * values[2 * e], imaginary = weights[e] * values[2 * e + 1];
-                return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
-            });
+            modes.change(X + changed, X + read, rest ? rest + read : nullptr, false, change_of(k, 1.0));
         }
         if (!factors) return;
         Complex mean(0.0);
@@ -42,6 +47,19 @@ class ModeForce {
             if (e % (modes.size() + 1) == 0) mean += added / double(modes.size());
         }
         for (int64_t e = square; e < 2 * square; e += modes.size() + 1) X[e] -= mean;
+    }
+
+    // Apply the derivative of `relax`, or its transpose, to layers of skew-Hermitian matrices, without a buoyancy.
+    void carry(double* vector, double tau, bool transposed) {
+        if (prepared_for != tau) prepare(tau);
+        const int64_t square = modes.size() * modes.size(), changes = table.function[0];
+        Complex* const X = reinterpret_cast<Complex*>(vector);
+        for (int64_t j = 0; j < changes; ++j) {
+            const int64_t k = transposed ? changes - 1 - j : j;
+            Complex *const changed = X + table.function[2 + 2 * k] * square, *const read = X + table.function[3 + 2 * k] * square;
+            modes.change(transposed ? read : changed, transposed ? changed : read, nullptr, false,
+                         change_of(k, transposed ? -1.0 : 1.0));
+        }
     }
 
     // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its

@@ -11,6 +11,7 @@ namespace coadjoint {
 
 class SelectiveDecay {
   public:
+    const int64_t n;
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
@@ -49,13 +50,12 @@ class SelectiveDecay {
         return finite(n, x) ? DONE : OVERFLOWED;
     }
 
-  protected:
-    const int64_t n;
-
     virtual bool gradient(const double* x, double t, double* out) = 0;
     // Set out = H''(x, t) v.
     virtual void hessian(const double* x, const double* v, double t, double* out) = 0;
     virtual void bracket(const double* v, const double* y, double* out) = 0;
+    // Replace a cotangent by its part in the algebra, in which brackets are antisymmetric.
+    virtual void project(double*) {}
 
   private:
     Krylov krylov;
@@ -84,7 +84,6 @@ class VectorDecay final : public SelectiveDecay {
     VectorDecay(const Field& field, const MemberConstants& constants)
         : SelectiveDecay(field.size), field(field), constants(constants), workspace(field) {}
 
-  protected:
     bool gradient(const double* x, double t, double* out) override {
         coadjoint::gradient(field, constants, x, t, out, workspace.field);
         return finite(n, out);
@@ -116,7 +115,6 @@ class MatrixDecay final : public SelectiveDecay {
           products(whole[BLAS], rows, 1), stream(whole, numbers), constant(whole[4] ? numbers : nullptr),
           scratch(rows * rows) {}
 
-  protected:
     bool gradient(const double* x, double t, double* out) override {
         return stream.apply(matrix(x), t, matrix(out)) && finite(n, out);
     }
@@ -132,6 +130,11 @@ class MatrixDecay final : public SelectiveDecay {
         InterruptCheck::of_this_call().after(rows * n / 16);
         products.multiply(matrix(v), matrix(y), scratch.data());
         skew_part(rows, scratch.data(), 1.0, matrix(out), false);
+    }
+
+    void project(double* x) override {
+        std::copy_n(matrix(x), rows * rows, scratch.data());
+        skew_part(rows, scratch.data(), 0.5, matrix(x), false);
     }
 
   private:

@@ -1,6 +1,7 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include "tangents/decay_derivatives.hpp"
 #include "tangents/law_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
@@ -28,25 +29,28 @@ class ForceDerivative {
   public:
     ForceDerivative(const ForceDerivatives& table, Force& flow, const StepTables& tables, const ForcedDerivatives& all)
         : table(table), plain(flow), force(flow.table), all(all), n(tables.field.size), moved(n), sum(n), beside(2 * n),
-          unit(n), direction(n) {
+          unit(n), direction(n), square(tables.group.size * tables.group.size), turned(square), turned_by(square) {
         if (force.kind == DAMPING && table.kind == derivatives::AFFINE && force.shape == FULL)
             exponential.reset(new MatrixExponential(n));
         if (table.kind == derivatives::ALONG && !table.along) law.reset(new LawDerivative(flow, table, n));
         if (table.kind == derivatives::ALONG && table.along)
             along.reset(new Force(*reinterpret_cast<const ForceTable*>(table.along), tables.field, tables.group, SHARED, 2 * n));
         if (table.kind == derivatives::ON_ORBIT && force.kind == HAMILTONIAN_NOISE)
-            noise.reset(new NoiseDerivative(force, tables.field, table));
+            noise.reset(new NoiseDerivative(force, tables.field, tables.group, table));
+        else if (table.kind == derivatives::ON_ORBIT && force.kind == SELECTIVE_DECAY)
+            decay.reset(new DecayDerivative(force, tables.field, table));
         else if (table.kind == derivatives::ON_ORBIT)
             orbit.reset(new OrbitDerivative(force, tables.field, table));
+        if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
         for (int64_t k = 0; k < NODES * table.moved; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
-    // (count, all coefficients).
+    // (count, all coefficients). A flow around a step also moves the `element` of the group, and so its tangents (count, d, d).
     void push(const FlowTime& at, const double* x, const double* end, double* vectors, int64_t count,
-              const double* directions) {
+              const double* directions, const double* element = nullptr, double* of_elements = nullptr) {
         const double* const own = directions + table.first;
         images.resize(count * n);
         const auto vector_of = [&](int64_t v) { return vectors + v * n; };
@@ -57,8 +61,9 @@ class ForceDerivative {
         if (along && !whole) std::copy_n(images.data(), count * n, vectors);
         if (law) law->push(x, at.t, at.tau, vectors, count, own, all.coefficients);
         if (orbit && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
-        if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients))
+        if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients, element, of_elements))
             throw NotDifferentiated();
+        if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
         if (whole || table.depends) {
             called.resize(count * all.called);
             for (int64_t v = 0; v < count; ++v)
@@ -71,15 +76,19 @@ class ForceDerivative {
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
             if (!directed) continue;
-            difference(at, x, end, k);
-            for (int64_t v = 0; v < count; ++v)
-                for (int64_t i = 0; i < n; ++i)
-                    vectors[v * n + i] = fma(along[v * all.coefficients], sum[i], vectors[v * n + i]);
+            difference(at, x, end, k, element);
+            for (int64_t v = 0; v < count; ++v) {
+                const double by = along[v * all.coefficients];
+                for (int64_t i = 0; i < n; ++i) vectors[v * n + i] = fma(by, sum[i], vectors[v * n + i]);
+                for (int64_t e = 0; element && e < square; ++e)
+                    of_elements[v * square + e] = fma(by, turned_by[e], of_elements[v * square + e]);
+            }
         }
     }
 
     // Replace the cotangent of the `end` after the flow by that of the state x before; add those of the coefficients.
-    void pull(const FlowTime& at, const double* x, const double* end, double* row, double* by_coefficients) {
+    void pull(const FlowTime& at, const double* x, const double* end, double* row, double* by_coefficients,
+              const double* element = nullptr, double* of_element = nullptr) {
         double* const own = by_coefficients + table.first;
         images.resize(n);
         const auto vector_of = [&](int64_t v) {
@@ -92,15 +101,19 @@ class ForceDerivative {
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
         for (int64_t k = 0; k < table.moved; ++k) {
-            difference(at, x, end, k);
-            for (int64_t i = 0; i < n; ++i) own[table.own + k] = fma(sum[i], row[i], own[table.own + k]);
+            difference(at, x, end, k, element);
+            double& to = own[table.own + k];
+            for (int64_t i = 0; i < n; ++i) to = fma(sum[i], row[i], to);
+            for (int64_t e = 0; element && e < square; ++e) to = fma(turned_by[e], of_element[e], to);
         }
         if (whole || table.depends) call(at, whole, x, 0, row, by_coefficients + all.inner_coefficients);
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
         if (along && !whole) std::copy_n(images.data(), n, row);
         if (law) law->pull(x, at.t, at.tau, row, own);
         if (orbit && !orbit->pull(x, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
-        if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own)) throw NotDifferentiated();
+        if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own, element, of_element))
+            throw NotDifferentiated();
+        if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();
     }
 
   private:
@@ -123,9 +136,13 @@ class ForceDerivative {
     std::unique_ptr<Force> along;
     std::unique_ptr<OrbitDerivative> orbit;
     std::unique_ptr<NoiseDerivative> noise;
+    std::unique_ptr<DecayDerivative> decay;
     std::unique_ptr<LawDerivative> law;
+    std::unique_ptr<ModeForce> modes;  // of rates
     std::vector<std::unique_ptr<Force>> nearby;
     std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
+    const int64_t square;  // numbers of the element of the group, its value at a node, and its derivative
+    std::vector<double> turned, turned_by;
 
     // Set `growth` to E of x -> x + E (x - aim) + b.
     void find_growth(const FlowTime& at) {
@@ -170,6 +187,8 @@ class ForceDerivative {
     // constant torque its components, and those of kicks their factors.
     void push_affine(const FlowTime& at, const double* x, double* vectors, int64_t count, const double* directions) {
         if (force.kind == KICKS) return push_kicks(at, x, vectors, count, directions);
+        for (int64_t v = 0; modes && v < count; ++v) modes->carry(vectors + v * n, at.tau, false);
+        if (modes) return;
         find_growth(at);
         if (table.own && is_noisy()) draw(at);
         for (int64_t v = 0; v < count; ++v) {
@@ -250,6 +269,15 @@ class ForceDerivative {
 
     void pull_affine(const FlowTime& at, const double* x, double* row, double* by_coefficients) {
         if (force.kind == KICKS) return pull_kicks(at, x, row, by_coefficients);
+        if (modes) {
+            // The cotangent of the algebra, whose modes have opposite diagonals in common.
+            const int64_t rows = force.extent, square = rows * rows;
+            std::copy_n(row, n, moved.data());
+            for (int64_t first = 0; first < n; first += 2 * square)
+                skew_part(rows, reinterpret_cast<const Complex*>(moved.data() + first), 0.5,
+                          reinterpret_cast<Complex*>(row + first), false);
+            return modes->carry(row, at.tau, true);
+        }
         find_growth(at);
         if (table.own && force.kind == DAMPING) pull_damping(at, x, row, by_coefficients);
         if (table.own && force.kind != DAMPING)
@@ -300,13 +328,16 @@ class ForceDerivative {
     }
 
     // Set `sum` to the derivative of the flow by the moved parameter k, of order eight, unless the value at zero that belongs
-    // to it is not that of the flow, so that nearer ones are taken in Python.
-    void difference(const FlowTime& at, const double* x, const double* end, int64_t k) {
+    // to it is not that of the flow, so that nearer ones are taken in Python; and `turned_by` to that of the element.
+    void difference(const FlowTime& at, const double* x, const double* end, int64_t k, const double* element) {
         std::fill(sum.begin(), sum.end(), 0.0);
+        std::fill(turned_by.begin(), turned_by.end(), 0.0);
         beside.assign(n, 0.0);
         for (int64_t node = 0; node < NODES; ++node) {
-            move(*nearby[k * NODES + node], at, x, moved);
+            if (element) turned.assign(element, element + square);
+            move(*nearby[k * NODES + node], at, x, moved, element ? turned.data() : nullptr);
             const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            for (int64_t e = 0; element && e < square; ++e) turned_by[e] = fma(weight, turned[e], turned_by[e]);
             for (int64_t i = 0; i < n; ++i) {
                 sum[i] = fma(weight, moved[i], sum[i]);
                 beside[i] = fma(AT_ZERO[node / 2], moved[i], beside[i]);
@@ -320,14 +351,16 @@ class ForceDerivative {
         }
         if (off <= SMOOTH * change + ROUNDING * size) {
             for (int64_t i = 0; i < n; ++i) sum[i] /= table.distance[k];
+            for (double& entry : turned_by) entry /= table.distance[k];
             return;
         }
+        if (element) throw NotDifferentiated();
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
     }
 
-    void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to) {
+    void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to, double* element = nullptr) {
         to.assign(x, x + n);
-        if (flow.flow(to.data(), nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+        if (flow.flow(to.data(), element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
     // Different ones, so that errors do not cancel.

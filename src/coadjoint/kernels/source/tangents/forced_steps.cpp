@@ -57,15 +57,18 @@ class ForcedSteps {
         double* const vectors = run.tangents + first * carried * n;
         double* const of_groups = run.group_tangents + first * carried * square;
         std::vector<double> moved(count * carried * n), after(count * carried * square), started_with(after), changes,
-            product(square), start(n), before, along_momenta;
+            product(square), start(n), before_turn(square), before, along_momenta;
         begin(run);
         int64_t mark = 0;
         const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
         const auto push = [&](const FlowTime& at, int64_t b) {
             double* const state = x.data() + b * n;
+            double* const element = turned_by(at, groups.data() + b * square);
             std::copy_n(state, n, start.data());
-            apply(at, state);
-            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b));
+            if (element) std::copy_n(element, square, before_turn.data());
+            apply(at, state, element);
+            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
+                                 element ? before_turn.data() : nullptr, of_groups + b * carried * square);
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             each_substep(run.t0 + double(k - 1) * run.h, run.h, [&](const Substep& one, double t, double h) {
@@ -106,28 +109,34 @@ class ForcedSteps {
 
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
-        // The states before the first flows, before the step, and after it, the elements before the step, and those of its
-        // loop after it.
-        const int64_t each = count * (3 * n + (shifted ? 2 : 1) * square);
+        // The states before the first flows, before the step, and after it, and the elements then, and those of its loop
+        // after it.
+        const int64_t each = count * (3 * n + (shifted ? 4 : 3) * square);
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
         };
         begin(run);
-        const auto move = [&](const FlowTime& at, int64_t b) { apply(at, x.data() + b * n); };
+        const auto move = [&](const FlowTime& at, int64_t b) {
+            apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
+        };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             const double start = run.t0 + double(k - 1) * run.h;
             each_substep(start, run.h, [&](const Substep& one, double t, double h) {
                 double* const to = held_at(k, one);
-                std::copy_n(x.data(), count * n, to);
+                double* const elements = to + 3 * count * n;
+                const auto hold = [&](int64_t point) {
+                    std::copy_n(x.data(), count * n, to + point * count * n);
+                    std::copy_n(groups.data(), count * square, elements + point * count * square);
+                };
+                hold(0);
                 each_flow(one, 0, start, run.h, move);
-                std::copy_n(x.data(), count * n, to + count * n);
-                std::copy_n(groups.data(), count * square, to + 3 * count * n);
+                hold(1);
                 take(one, t, h);
-                std::copy_n(x.data(), count * n, to + 2 * count * n);
-                if (shifted) std::copy_n(ends.data(), count * square, to + count * (3 * n + square));
+                if (shifted) std::copy_n(ends.data(), count * square, elements + 3 * count * square);
                 for (int64_t b = 0; shifted && b < count; ++b)
                     shifted_group(b, shift.at(to + (count + b) * n, h), change.data());
+                hold(2);
                 each_flow(one, 1, start, run.h, move);
             });
         }
@@ -149,14 +158,16 @@ class ForcedSteps {
                 double* const from = held_at(k, one);
                 const double t = start + one.begin * run.h, h = one.length * run.h;
                 InterruptCheck::of_this_call().after(4 * work);
-                pull_flows(one, 1, start, run.h, from + 2 * count * n, rows, by_coefficients);
+                double* const elements_held = from + 3 * count * n;
+                pull_flows(one, 1, start, run.h, from + 2 * count * n, elements_held + 2 * count * square, rows, of_groups,
+                           by_coefficients);
                 std::copy_n(rows, count * n, after.data());
                 std::copy_n(of_groups, count * square, group_after.data());
                 std::fill_n(rows, count * n, 0.0);
                 std::fill_n(through.data(), count * n, 0.0);
                 double* const before = from + count * n;
-                double* const element = from + 3 * count * n;
-                if (shifted) std::copy_n(element + count * square, count * square, ends.data());
+                double* const element = elements_held + count * square;
+                if (shifted) std::copy_n(elements_held + 3 * count * square, count * square, ends.data());
                 for (int64_t b = 0; shifted && b < count; ++b)
                     shifted_cotangents(b, shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
                                        of_groups + b * square, through.data() + b * n,
@@ -170,7 +181,7 @@ class ForcedSteps {
                 derivatives[one.loop](derivatives[one.loop].backward, of_step);
                 if (!shifted) std::copy_n(of_element.data(), count * square, of_groups);
                 for (int64_t i = 0; i < count * n; ++i) rows[i] += through[i];
-                pull_flows(one, 0, start, run.h, from, rows, by_coefficients);
+                pull_flows(one, 0, start, run.h, from, elements_held, rows, of_groups, by_coefficients);
             }
         }
         for (int64_t b = 0; b < count; ++b) {
@@ -197,7 +208,7 @@ class ForcedSteps {
     // Of the flows on a side of a substep: with the states before and after each.
     std::vector<FlowTime> times;
     std::vector<int64_t> members;
-    std::vector<double> passed;
+    std::vector<double> passed, turned;
     const int64_t work;
     int64_t ONE_STEP = 1;
 
@@ -234,27 +245,37 @@ class ForcedSteps {
         }
     }
 
-    void apply(const FlowTime& at, double* state) {
-        if (forces[at.flow]->flow(state, nullptr, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    // The element, if a flow moves it.
+    double* turned_by(const FlowTime& at, double* element) const {
+        return square && forces[at.flow]->around_steps() ? element : nullptr;
     }
 
-    // Take the flows on a side again from the states before them, and pull the cotangents back.
-    void pull_flows(const Substep& one, int64_t side, double start, double h, const double* from, double* rows,
-                    double* by_coefficients) {
-        times.clear(), members.clear(), passed.clear();
+    void apply(const FlowTime& at, double* state, double* element) {
+        if (forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    }
+
+    // Take the flows on a side again from the states and elements before them, and pull the cotangents back.
+    void pull_flows(const Substep& one, int64_t side, double start, double h, const double* from, const double* elements,
+                    double* rows, double* of_groups, double* by_coefficients) {
+        times.clear(), members.clear(), passed.clear(), turned.clear();
         std::copy_n(from, count * n, x.data());
+        std::copy_n(elements, count * square, groups.data());
         each_flow(one, side, start, h, [&](const FlowTime& at, int64_t b) {
             times.push_back(at);
             members.push_back(b);
             double* const state = x.data() + b * n;
+            double* const element = groups.data() + b * square;
             passed.insert(passed.end(), state, state + n);
-            apply(at, state);
+            turned.insert(turned.end(), element, element + square);
+            apply(at, state, turned_by(at, element));
             passed.insert(passed.end(), state, state + n);
         });
         for (size_t k = times.size(); k-- > 0;) {
             const int64_t b = members[k];
             const double* const before = passed.data() + 2 * k * n;
-            flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n, by_coefficients + b * all.coefficients);
+            double* const element = turned_by(times[k], turned.data() + k * square);
+            flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n, by_coefficients + b * all.coefficients, element,
+                                       of_groups + b * square);
         }
     }
 

@@ -3,16 +3,17 @@
 
 #include "forces/hamiltonian_noise.hpp"
 #include "tangents/orbit_derivatives.hpp"
+#include "tangents/shift_factor.hpp"
 
 namespace coadjoint {
 
 class NoiseDerivative {
   public:
-    NoiseDerivative(const ForceTable& force, const Field& field, const ForceDerivatives& table)
-        : force(force), field(field), table(table), n(field.size), rows(force.begin + force.sets + 1),
+    NoiseDerivative(const ForceTable& force, const Field& field, const GroupField& group, const ForceDerivatives& table)
+        : force(force), field(field), group(group), table(table), n(field.size), d(group.size), rows(force.begin + force.sets + 1),
           columns(force.direction + force.extent), of_spins(spins.find(field, MemberConstants{1, 0})),
           increments(force, force.position, force.extent, 0), now(n), v(n), slope(n), of_v(n), first(n), before(n),
-          through(n), dv(n), dm(n), row(n) {
+          through(n), dv(n), dm(n), row(n), turning(d * d), turned(d * d), product(d * d) {
         int64_t functions = 0, terms = 0;
         for (int64_t set = 0; set < force.sets; ++set)
             for (int64_t b = motion_of(set), q = rows[b]; force.aim[set] != 0.0 && q < rows[b + 1]; ++q)
@@ -25,10 +26,12 @@ class NoiseDerivative {
     }
 
     // Replace vectors at a state before the noise on a side of a step from t of length h by their tangents after it, along
-    // directions of the coefficients, which are those of the table; false as of `OrbitDerivative`.
+    // directions of the coefficients, which are those of the table, and those of the group element, if there is one; false
+    // as of `OrbitDerivative`.
     bool push(const double* x, double t, double h, int64_t member, int64_t side, double* vectors, int64_t count,
-              const double* directions, int64_t stride) {
+              const double* directions, int64_t stride, const double* element, double* of_elements) {
         if (!find(x, t, h, member, side)) return false;
+        if (element) find_turns(element);
         for (int64_t r = 0; r < count; ++r) {
             double* const dx = vectors + r * n;
             const double* const along = directions + r * stride;
@@ -52,17 +55,28 @@ class NoiseDerivative {
                     add_hessian(part, t, dx, dv.data());
                 }
                 part.whole.push(dv.data(), dx);
+                if (!element) continue;
+                double* const of_element = of_elements + r * d * d;
+                set_generator(dv);
+                part.exponential->along(turning.data(), turned.data());
+                std::fill(product.begin(), product.end(), 0.0);
+                add_matrix_product(d, 1.0, turned.data(), part.element.data(), product.data());
+                add_matrix_product(d, 1.0, part.turn, of_element, product.data());
+                std::copy_n(product.data(), d * d, of_element);
             }
         }
         return true;
     }
 
     // Replace the cotangent of the state after the noise by that before, and add those of the coefficients.
-    bool pull(const double* x, double t, double h, int64_t member, int64_t side, double* cotangent, double* by_coefficients) {
+    bool pull(const double* x, double t, double h, int64_t member, int64_t side, double* cotangent, double* by_coefficients,
+              const double* element, double* of_element) {
         if (!find(x, t, h, member, side)) return false;
+        if (element) find_turns(element);
         for (size_t k = used; k-- > 0;) {
             Part& part = *parts[k];
             part.whole.pull(cotangent, of_v.data());
+            if (element) pull_turn(part, of_element);
             first = of_v;
             const auto improve = [&] {
                 std::fill(through.begin(), through.end(), 0.0);
@@ -94,6 +108,9 @@ class NoiseDerivative {
         double size;
         Exponential whole, half;
         std::vector<double> at;  // where the gradients are taken
+        std::vector<double> element;  // that of the group before it, which is multiplied by `turn`
+        std::unique_ptr<MatrixExponential> exponential;
+        const double* turn = nullptr;
         Part(const Field& field, const Spins* spins) : whole(field, spins), half(field, spins) {}
     };
     struct Energy {
@@ -104,8 +121,9 @@ class NoiseDerivative {
     };
     const ForceTable& force;
     const Field& field;
+    const GroupField& group;
     const ForceDerivatives& table;
-    const int64_t n;
+    const int64_t n, d;
     const int64_t *rows, *columns;
     Spins spins;
     const bool of_spins;
@@ -114,7 +132,7 @@ class NoiseDerivative {
     std::vector<std::unique_ptr<Energy>> energies;
     std::vector<std::unique_ptr<Part>> parts;
     size_t used = 0;
-    std::vector<double> now, v, slope, of_v, first, before, through, dv, dm, row;
+    std::vector<double> now, v, slope, of_v, first, before, through, dv, dm, row, turning, turned, product;
 
     int64_t motion_of(int64_t set) const { return force.direction[force.begin[set]]; }
 
@@ -136,6 +154,45 @@ class NoiseDerivative {
             }
         }
         return true;
+    }
+
+    // Set `turning` to the generator of a direction.
+    void set_generator(const std::vector<double>& direction) {
+        std::fill(turning.begin(), turning.end(), 0.0);
+        for (int64_t q = 0; q < group.entries; ++q) {
+            double& entry = turning[int64_t(group.column[q]) * d + group.row[q]];
+            entry = fma(group.value[q], direction[group.element[q]], entry);
+        }
+    }
+
+    // The exponentials of the parts by which the element moves.
+    void find_turns(const double* element) {
+        turned.assign(element, element + d * d);
+        for (size_t k = 0; k < used; ++k) {
+            Part& part = *parts[k];
+            if (!part.exponential) part.exponential.reset(new MatrixExponential(d));
+            set_generator(part.whole.v);
+            part.turn = part.exponential->of(1.0, turning.data());
+            part.element = turned;
+            std::fill(turned.begin(), turned.end(), 0.0);
+            add_matrix_product(d, 1.0, part.turn, part.element.data(), turned.data());
+        }
+    }
+
+    // Replace the cotangent of the element after a part by that before; add that of the direction.
+    void pull_turn(const Part& part, double* of_element) {
+        transpose_matrix(d, part.element.data(), turned.data());
+        std::fill(product.begin(), product.end(), 0.0);
+        add_matrix_product(d, 1.0, of_element, turned.data(), product.data());
+        part.exponential->pull(product.data(), turning.data());
+        for (int64_t q = 0; q < group.entries; ++q) {
+            double& to = of_v[group.element[q]];
+            to = fma(group.value[q], turning[int64_t(group.column[q]) * d + group.row[q]], to);
+        }
+        transpose_matrix(d, part.turn, turned.data());
+        std::fill(product.begin(), product.end(), 0.0);
+        add_matrix_product(d, 1.0, turned.data(), of_element, product.data());
+        std::copy_n(product.data(), d * d, of_element);
     }
 
     bool move(Kind kind, int64_t begin, int64_t end, double size) {
