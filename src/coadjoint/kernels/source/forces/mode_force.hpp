@@ -26,10 +26,17 @@ class ModeForce {
             for (int64_t e = 0; e < square; ++e) at_rest[square + e] += factors[e] * X[e];
             rest = at_rest.data();
         }
+        const Complex* source = X;
+        if (table.function[0] > 1) {  // layers are read as they were before the others changed
+            const int64_t* const layers = table.function + 2;
+            const int64_t last = *std::max_element(layers, layers + 2 * table.function[0]);
+            unchanged.assign(X, X + (last + 1) * square);
+            source = unchanged.data();
+        }
         for (int64_t k = 0; k < table.function[0]; ++k) {
             const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
             const double* const weights = table.rate + (1 + k) * count;
-            modes.change(X + changed, X + read, rest ? rest + read : nullptr, false, [&](int64_t e, const Complex& c) {
+            modes.change(X + changed, source + read, rest ? rest + read : nullptr, false, [&](int64_t e, const Complex& c) {
                 const double real = weights[e] * values[2 * e], imaginary = weights[e] * values[2 * e + 1];
                 return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
             });
@@ -71,6 +78,7 @@ class ModeForce {
     Modes modes;
     std::vector<double> values;
     std::vector<Complex> before, at_rest;  // the buoyancy before a change, and the state at rest with its part
+    std::vector<Complex> unchanged;  // layers before the changes
     double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `values` is computed
 
     // exp(-(rate + i turning) tau) - 1.
