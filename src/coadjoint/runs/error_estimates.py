@@ -35,6 +35,7 @@ from coadjoint.systems.evaluation import ignore_overflow
 # Largest error over a run without a warning, relative to the size of the motion, or of an invariant.
 OVER_RUN = 0.05
 GROWN = 16.0  # growth of the errors of steps over a run of which their sum is no bound
+AMPLIFIED = 3.0  # error in a part of a run, relative to the sum of those of its steps, of an unstable motion
 COMPARED = 64  # points at which a run is compared with one of half the step
 ENERGY_SUSPECTED = 0.01  # deviation of an invariant from which on the run is repeated
 # Number of members whose invariants deviate most, and of points at which the size of an invariant is taken; every third
@@ -47,7 +48,9 @@ ROUNDED = 0.01
 # Saved points of the run that is repeated to measure rounding.
 ROUNDED_POINTS = 16
 WHOLE_STEP_TOLERANCE = 2.0**-40  # relative tolerance for a whole number of steps
-SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the change of the state in it
+# Errors with the step that a warning suggests: of a step, relative to the change of the state in it, and over the run.
+SUGGESTED, MADE_SMALL = 0.002, 0.1 * OVER_RUN
+TRIALS, SHORTENED = 8, 0.25  # largest number of steps tried as a suggestion, and by how much each is shorter at most
 
 
 def step_error(solution: Solution) -> float:
@@ -105,13 +108,13 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> bool:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         rounded, wrong = None, Wrong()
     if lost.large:
-        warn_of_lost_invariant(solution, prepared, lost)
+        warn_of_lost_invariant(solution, prepared, lost, measured)
     elif wrong.error > OVER_RUN:
         warn_caller(
             f"the step {solution.step:g} is too large for {_motion(solution, wrong)}: the error of a step of "
             f"{prepared.method} is {wrong.truncation:.2g} of the change of the state, and such errors add up to "
             f"{wrong.error:.2g} of the motion, though invariants may be kept; take a step of about "
-            f"{_smaller_step(solution, prepared, wrong.error, wrong.truncation):.1g}",
+            f"{_smaller_step(solution, prepared, wrong.error, wrong.truncation, measured, wrong.row):.2g}",
             LargeStepWarning,
         )
     elif rounded is not None and measured is not None:
@@ -131,12 +134,17 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> bool:
     return lost.large or wrong.error > OVER_RUN
 
 
-def warn_of_lost_invariant(solution: Solution, prepared: PreparedRun, lost: LostInvariant) -> None:
+def warn_of_lost_invariant(
+    solution: Solution, prepared: PreparedRun, lost: LostInvariant, measured: MeasuredSteps | None = None
+) -> None:
     """Warn of an invariant that is not kept."""
+    rows = [] if measured is None else np.flatnonzero(measured.members == lost.member).tolist()
+    # States of other systems may have left their orbits, and no longer move as in the start.
+    row = next((m for m in rows if measured is not None and measured.has_waves(m)), -1)
     warn_caller(
         f"the step {solution.step:g} is too large for {_motion(solution, lost)}: {lost.name} deviates by "
         f"{lost.ratio:.2g} of its size{' from the work of the forces' * lost.balanced}; take a step of about "
-        f"{_smaller_step(solution, prepared, lost.ratio, 1.0):.1g}",
+        f"{_smaller_step(solution, prepared, lost.ratio, 1.0, measured, row):.2g}",
         LargeStepWarning,
     )
 
@@ -153,10 +161,27 @@ def _motion(solution: Solution, worst: Wrong | LostInvariant) -> str:
     return "this motion" if solution.failed is None else f"the motion of member {worst.member}{others}"
 
 
-def _smaller_step(solution: Solution, prepared: PreparedRun, error: float, truncation: float) -> float:
-    """Return the step at which the error over the run, and that of a step, are small, by the order."""
-    ratio = min(0.1 * OVER_RUN / min(1.0, error), SUGGESTED / min(error, truncation))
-    return solution.step * float(ratio ** (1.0 / prepared.scheme.order))
+def _smaller_step(
+    solution: Solution,
+    prepared: PreparedRun,
+    error: float,
+    truncation: float,
+    measured: MeasuredSteps | None = None,
+    row: int = -1,
+) -> float:
+    """Return the step at which the error over the run, and that of a step, are small, by the order and by trials."""
+    ratio = min(MADE_SMALL / min(1.0, error), SUGGESTED / min(error, truncation))
+    step = solution.step * float(ratio ** (1.0 / prepared.scheme.order))
+    if measured is None or row < 0:
+        return step
+    # From a large step the order does not tell how small another must be.
+    for _ in range(TRIALS):
+        of_step, total = measured.in_steps_of(math.copysign(step, measured.h), row)
+        excess = max(of_step / SUGGESTED, total / MADE_SMALL if measured.has_waves(row) else 0.0)
+        if not excess > 1.0:
+            break
+        step *= max(SHORTENED, excess ** (-1.0 / prepared.scheme.order))
+    return step
 
 
 class Wrong(NamedTuple):
@@ -166,13 +191,15 @@ class Wrong(NamedTuple):
     truncation: float = 0.0
     member: int = 0
     members: int = 0
+    row: int = -1
+    """Number among the measured members, if other steps can be tried: not at rest, where all changes are errors."""
 
 
 def wrong_member(measured: MeasuredSteps, steps: list[WorstStep], lost: LostInvariant) -> Wrong:
     """Return the largest error over the run of members in which errors of steps may add up, or which `lost` energy."""
 
     def is_suspected(one: WorstStep) -> bool:
-        adds_up = measured.short and one.total > OVER_RUN / GROWN
+        adds_up = (measured.short and one.total > OVER_RUN / GROWN) or phases_add_up(measured, one)
         return one.truncation > SUSPECTED or adds_up or (bool(lost.name) and lost.member == measured.members[one.m])
 
     suspected = sorted(filter(is_suspected, steps), key=lambda one: -max(one.truncation, min(1.0, one.total)))
@@ -181,7 +208,13 @@ def wrong_member(measured: MeasuredSteps, steps: list[WorstStep], lost: LostInva
         return Wrong()
     error = max(errors)
     worst = suspected[errors.index(error)]
-    return Wrong(error, worst.truncation, int(measured.members[worst.m]), sum(one > OVER_RUN for one in errors))
+    count = sum(one > OVER_RUN for one in errors)
+    return Wrong(error, worst.truncation, int(measured.members[worst.m]), count, -1 if worst.at_rest else worst.m)
+
+
+def phases_add_up(measured: MeasuredSteps, worst: WorstStep) -> bool:
+    """Test whether phase errors of waves may be large over the run, though they are small over a turn."""
+    return math.isfinite(worst.total) and worst.total > OVER_RUN and measured.has_waves(worst.m)
 
 
 @ignore_overflow
@@ -195,7 +228,12 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None
     count = max(1, math.ceil(measured.step_count(m) * (1.0 - WHOLE_STEP_TOLERANCE)))
     most: float = most_steps(measured.solution, state.size, h)
     longest, motion = min(most, count), measured.motion_of(m)
-    most = most if worst.truncation > SUSPECTED else min(most, measured.steps_of_turn(m) if turn is None else turn)
+    adds_up = phases_add_up(measured, worst)
+    most = (
+        most
+        if worst.truncation > SUSPECTED or adds_up
+        else min(most, measured.steps_of_turn(m) if turn is None else turn)
+    )
     if most >= count:
         t, state = measured.points[0][0], measured.start[m : m + 1]
     steps, one = int(min(most, count)), measured.of_member(m)
@@ -234,8 +272,11 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None
     moved = max(float(moved), measured.largest_change(m))
     if moved == 0.0:
         return 0.0
-    # The phase of later turns does not count.
-    return max(resting, min(lengthened / max(moved, motion), error / moved))
+    # The phase of later turns does not count, but for waves, whose errors add up and are not amplified.
+    summed = worst.total * motion / max(moved, motion) if adds_up else 0.0
+    if error > AMPLIFIED * summed * max(moved, motion) * steps / count:
+        summed = 0.0
+    return max(resting, min(lengthened / max(moved, motion), max(error / moved, summed)))
 
 
 class LostInvariant(NamedTuple):

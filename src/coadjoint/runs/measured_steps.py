@@ -46,6 +46,7 @@ SUSPECTED = 0.01
 AT_REST = 0.01
 # Differences between a step and two half steps by rounding alone, relative to that by its direction.
 HALVED = 8.0
+HALVES = 2  # parts of the step with which it is compared
 # Rounding of a group in a step, relative to its size, below which the group keeps its digits in any run.
 EXCESS = 2.0**14 * UNIT_ROUNDOFF
 # Rounding of a step, relative to a group at the start, above which the group is zero but for rounding.
@@ -146,9 +147,17 @@ class MeasuredSteps:
         start = self.solution.t_span[0], self.start, np.ones(len(self.start), dtype=bool)
         return [start, *((float(self.t[k]), *self.states(k)) for k in chosen)]
 
-    def _step(self, m: Integers, states: Floats, t: Floats, known_rounding: Floats | None = None) -> Floats:
+    def _step(
+        self,
+        m: Integers,
+        states: Floats,
+        t: Floats,
+        known_rounding: Floats | None = None,
+        h: float | None = None,
+        parts: int = HALVES,
+    ) -> Floats:
         """Return errors, changes, rounding (3, rows, groups) of steps from states; zero if not repeatable."""
-        h, groups, n = self.h, self.groups, states.shape[1]
+        h, groups, n = self.h if h is None else h, self.groups, states.shape[1]
 
         def ends(x: Floats, t: Floats, *lengths: float) -> list[Floats]:
             """Return the ends of steps of each of these lengths."""
@@ -160,11 +169,12 @@ class MeasuredSteps:
         # Behind the coordinates are the works of forces.
         works = self._parts.loops.size - n
         start = np.pad(states, ((0, 0), (0, works))) if works else states
-        middle, full = ends(start, t, 0.5 * h, h)
-        change = groups.norms(middle[:, :n] - states)
-        (halved,), full = ends(middle, t + 0.5 * h, 0.5 * h), full[:, :n]
+        finer, full = ends(start, t, h / parts, h)
+        change, full = groups.norms(finer[:, :n] - states), full[:, :n]
+        for part in range(1, parts):
+            (finer,) = ends(finer, t + part * h / parts, h / parts)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        errors = error_by_comparison(groups.norms(full - halved[:, :n]), 0.5**self.prepared.scheme.order)
+        errors = error_by_comparison(groups.norms(full - finer[:, :n]), parts**-self.prepared.scheme.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             with rounding(1):
@@ -177,7 +187,11 @@ class MeasuredSteps:
         errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
-        return np.stack([errors, changes, known_rounding])
+        step = np.stack([errors, changes, known_rounding])
+        # The iteration of an implicit scheme may fail for half a step, and not for a third.
+        if failed.any() and parts == HALVES:
+            step[:, failed] = self._step(m[failed], states[failed], t[failed], known_rounding[failed], h, parts + 1)
+        return step
 
     @property
     def lossy(self) -> bool:
@@ -225,13 +239,28 @@ class MeasuredSteps:
                 one = system.of_member(int(self.members[m]))
                 field = one.rows_of(one.vector_field(one.states_of(self.start[m]), self.points[0][0]))
                 at_rest = bool(np.linalg.norm(self.scaled(field, m)) * abs(self.h) <= AT_REST * mean)
-            total_error = self.step_count(m) * mean / (self.motion_of(m) or math.inf)
+            total_error = self._total_of_steps(self.errors[:, m], m, self.h)
             steps.append(WorstStep(float(relative[m]), m, t, states[m : m + 1], total_error, at_rest))
         for fastest in self._passages():
             error = max(error, fastest.truncation)
             if fastest.truncation > steps[fastest.m].truncation:
                 steps[fastest.m] = fastest
         return error, steps
+
+    def _total_of_steps(self, errors: Floats, m: int, h: float) -> float:
+        """Return errors (points, groups) of a member added up over steps h of the run, relative to its motion."""
+        held = [held[m] for _, _, held in self.points]
+        mean = float(np.linalg.norm(errors[held] * self.weights[m], axis=1).mean())
+        return self.step_count(m) * abs(self.h / h) * mean / (self.motion_of(m) or math.inf)
+
+    @ignore_overflow
+    def in_steps_of(self, h: float, m: int) -> tuple[float, float]:
+        """Return the error of steps of another length of a chosen member at the points, and of all in the run."""
+        held = np.array([held[m] for _, _, held in self.points])
+        states, times = np.array([x[m] for _, x, _ in self.points]), np.array([t for t, *_ in self.points])
+        errors, changes, _ = self._step(np.full(len(times), m), states, times, self.rounding_at_points[:, m], h)
+        squares = [np.sum((some[held] * self.weights[m]) ** 2) for some in (errors, changes)]
+        return float(_ratios(*squares)), self._total_of_steps(errors, m, h)
 
     def steps_of_turn(self, m: int) -> float:
         """Return the number of steps in which the path of a chosen member is several times the size of its motion."""
@@ -257,6 +286,11 @@ class MeasuredSteps:
             return self.t[points], np.array([self.states(k)[0][m] for k in points.tolist()])
         known = points[np.isfinite(self._path[points, m]).all(axis=1)]
         return self.t[known], self._path[known, m]
+
+    def has_waves(self, m: int) -> bool:
+        """Test whether a chosen member is a fluid, whose fields superpose waves of different frequencies."""
+        one = self.system.of_member(int(self.members[m]))
+        return bool(one.has_matrices and one.fluid is not None)
 
     def step_count(self, m: int) -> float:
         solution = self.solution

@@ -171,6 +171,8 @@ MATRICES = {  # of the user, and with forces
         co.IsospectralGauss(1), 2),
     "drag of a layer": (forced(named("layered_qg", N=3, rotation=0.7), (F.Friction, {"rate": 0.3, "layer": 1})),
         co.IsospectralGauss(1), 2),
+    "layers on a beta plane": (forced(named("layered_qg", N=5, surface="torus"), (F.BetaPlane, {"beta": 0.5})),
+        co.IsospectralGauss(2), 2),
     "forces on a warm planet": (forced(named("thermal_qg", N=3, rotation=0.7, bathymetry={(2, 1): 0.3}),
         (F.Friction, {"rate": 0.3}), (F.Viscosity, {"nu": 0.05, "layer": "carried"})), co.IsospectralGauss(1), 2),
     "forces on the torus": (forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate":

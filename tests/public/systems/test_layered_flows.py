@@ -49,6 +49,48 @@ def reference(s, x0, span, force=lambda q, P: 0.0):
     return np.ascontiguousarray(end).view(complex).reshape(s.shape)
 
 
+@pytest.mark.parametrize("span", [(1.0, 4.0), (4.0, 1.0)])
+@pytest.mark.parametrize("n", [(1, 2), (3, 0), (-2, 1), (0, 2)])
+@pytest.mark.parametrize("mode", [0, 1])
+def test_on_a_beta_plane_each_vertical_mode_has_its_waves(mode, n, span):
+    """Barotropic and baroclinic waves of two layers, with the coupling 4: sigma = -beta k/(K^2 + F)."""
+    s, beta = FLOWS["torus"], 1.7
+    q = np.array([[1.0, 1.0], [1.0, -1.0 / 3.0]])[mode]  # shapes of psi, and so of q: F1 = 3, F2 = 1
+    x0 = q[:, None, None] * s.fluid.from_modes({n: 0.4 + 0.3j})
+    sol = co.integrate(s.with_forces(co.forces.BetaPlane(beta)), x0, span, 0.25, co.IsospectralGauss())
+    for x, t in zip(sol.x, sol.t, strict=True):
+        turned = np.exp(1j * beta * n[0] / (n[0] ** 2 + n[1] ** 2 + 4.0 * mode) * (t - span[0]))
+        modes = np.array([s.fluid.modes(layer, absolute=True)[n] for layer in x])
+        np.testing.assert_allclose(modes, q * (0.4 + 0.3j) * turned, rtol=0, atol=1e-13)
+    assert np.abs(sol.work["BetaPlane"]["energy"]).max() < 1e-13 * abs(sol.energy[0])
+
+
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize("span", [(1.0, 1.5), (1.5, 1.0)])
+def test_on_a_beta_plane_layers_follow_the_equations(span, first):
+    """Beside the drag of the lower layer, in both orders; and member by member, with one thread and two."""
+    s, beta, rate = FLOWS["torus"], 1.7, 0.3
+    fluid, some = s.fluid, co.forces
+    forces = [some.Friction(rate, layer=1), some.BetaPlane(beta)]
+    forced = s.with_forces(*forces[:: -1 if first else 1])
+    n1 = (np.fft.fftfreq(9) * 9)[:, None]
+
+    def force(q, P):
+        psi = fluid.mode_array(P, absolute=True)
+        drag = np.array([0.0, rate])[:, None, None] * fluid.eigenvalues * psi
+        return fluid.from_modes(drag - 1j * beta * n1 * psi, absolute=True)
+
+    x0 = np.stack([start_of(s, 1), start_of(s, 5)])
+    sols = [
+        co.prepare(forced, SIXTH, 2.0**-7, threads=threads).run(x0, span, save_every=64).x[-1] for threads in (1, 2)
+    ]
+    # The splitting of forces has order two.
+    half = co.prepare(forced, SIXTH, 2.0**-8).run(x0, span, save_every=128).x[-1]
+    np.testing.assert_array_equal(*sols)
+    for k in range(2):
+        np.testing.assert_allclose((4 * half - sols[0])[k] / 3, reference(s, x0[k], span, force), rtol=0, atol=1e-7)
+
+
 @pytest.mark.parametrize("span", [(0.5, 1.0), (1.0, 0.5)])
 @pytest.mark.parametrize("name", [name for name in FLOWS if name != "of latitude"])
 def test_members_follow_the_equations(name, span):
@@ -457,8 +499,8 @@ def test_what_is_refused():
     ):
         with refused(ValueError, "layered_qg", *named):
             s.with_forces(force)
-    with refused(ValueError, "BetaPlane", "layers", "rotation"):
-        FLOWS["torus"].with_forces(some.BetaPlane(1.0))
+    with refused(ValueError, "BetaPlane", "layered_qg", "rotation"):
+        s.with_forces(some.BetaPlane(1.0))
     with refused(ValueError, "layer is 1", "sphere_euler"):
         s.fluid.with_forces(some.RandomForcing(0.5, (2, 3), seed=3, layer=1))
     for force in (some.Friction, some.Viscosity):

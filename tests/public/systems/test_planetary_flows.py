@@ -273,6 +273,24 @@ def test_beta_and_topography_meet_on_the_torus():
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
+@pytest.mark.parametrize(
+    ("given", "size"),
+    [
+        ({(2, 1): 300.0}, 300.0 * np.sqrt(15 / (8 * np.pi))),
+        ([[2, 1, 300.0, 0.0]], 300.0 * np.sqrt(15 / (8 * np.pi))),
+        ({(1, 0): 2.1}, 2.1 * np.sqrt(3 / (4 * np.pi))),
+    ],
+)
+def test_a_ground_above_the_fluid_is_warned_of(given, size):
+    """In modes as on grids, by the largest height of the harmonics; the potential vorticity of a plane has no limit."""
+    with pytest.warns(UserWarning, match="divide heights by the depth") as caught:
+        S.sphere_qg(24, rotation=1.0, topography=given)
+    (message,) = (str(one.message) for one in caught)
+    assert float(message.split()[2].rstrip(";")) == pytest.approx(size, rel=0.02)
+    S.torus_qg(9, topography={(2, 1): 300.0})
+    S.sphere_qg(24, rotation=1.0, topography={(2, 1): 0.6, (1, 0): 0.1})
+
+
 def test_topography_from_every_source(tmp_path):
     """A function, modes, rows, arrays with coordinates in any order, and a file are one field."""
     xarray = pytest.importorskip("xarray")

@@ -14,6 +14,8 @@ FLOWS = {
     "of latitude": S.thermal_qg(9, 0.0, -0.7, None, {(2, 0): 0.5}, lamb=5.0),
     "torus": S.thermal_qg(9, 2.0, 0.0, {(1, 0): 0.4}, {(1, 1): 0.3, (0, 2): 0.2}, surface="torus"),
 }
+STARTS = (lambda x, y: 0.5 * np.cos(x) + 0.3 * np.sin(y), lambda x, y: 0.5 * np.sin(x + y) + 0.4 * np.cos(y))
+"""Buoyancy and potential vorticity on the torus."""
 EACH = pytest.mark.parametrize("name", FLOWS)
 SIXTH = co.IsospectralGauss(3)
 
@@ -76,6 +78,50 @@ def test_members_follow_the_equations(name, span):
         np.testing.assert_allclose(s.vector_field(x0[k]), rates, rtol=0, atol=1e-12)
         np.testing.assert_allclose(s.stream_of(x0[k])[0], P, rtol=0, atol=1e-12)
     assert np.abs(sol.x[-1] - x0).max() > 0.05
+
+
+@pytest.mark.parametrize("span", [(1.0, 2.5), (2.5, 1.0)])
+def test_on_the_torus_matrices_approach_the_continuous_flow(span):
+    """Against products on a grid without aliases, whose brackets share nothing with matrices: an error of 1/N^2."""
+    gamma, M = 2.0, 32
+    n = np.fft.fftfreq(M) * M
+    resolved = np.maximum(np.abs(n)[:, None], np.abs(n)) < M / 3
+    ahead, across = 1j * n[:, None], 1j * n
+    inverse = -1.0 * resolved / (n[:, None] ** 2 + n**2 + gamma)
+    grid = 2 * np.pi * np.arange(M) / M
+    eta, ridge = 0.4 * np.cos(grid)[:, None] + 0.0 * grid, 0.6 * np.cos(grid[:, None] + grid) + 0.4 * np.sin(2 * grid)
+
+    def bracket(f, g):
+        fx, fy, gx, gy = (np.fft.ifft2(k * np.fft.fft2(a)).real for a in (f, g) for k in (ahead, across))
+        return np.fft.ifft2(resolved * np.fft.fft2(fx * gy - fy * gx)).real
+
+    def field(t, y):
+        b, q = y.reshape(2, M, M)
+        psi = np.fft.ifft2(inverse * np.fft.fft2(q - eta)).real
+        return -np.stack([bracket(psi, b), bracket(psi, q - b) + bracket(ridge, b) / 2]).ravel()
+
+    def flow(N):
+        s = S.thermal_qg(
+            N,
+            gamma,
+            0.0,
+            lambda x, y: 0.4 * np.cos(x),
+            lambda x, y: 0.6 * np.cos(x + y) + 0.4 * np.sin(2 * y),
+            surface="torus",
+        )
+        of = lambda values: s.fluid.from_grid(values, absolute=True)  # noqa: E731
+        x, y = np.meshgrid(*s.fluid.grid(), indexing="ij")
+        x0 = s.from_potential(np.stack([of(start(x, y)) for start in STARTS]))
+        end = co.integrate(s, x0, span, 1.5 / 32, SIXTH, save_every=32).x[-1]
+        return np.stack([s.fluid.to_grid(one, (M, M), absolute=True) for one in s.potential(end)])
+
+    x, y = np.meshgrid(grid, grid, indexing="ij")
+    y0 = np.stack([start(x, y) for start in STARTS]).ravel()
+    wanted = solve_ivp(field, span, y0, method="DOP853", rtol=1e-9, atol=1e-9).y[:, -1].reshape(2, M, M)
+    coarse, fine = flow(25), flow(49)
+    assert np.abs(wanted.ravel() - y0).max() > 0.3
+    errors = [np.abs(found - wanted).max() for found in (coarse, fine, fine + (fine - coarse) / ((49 / 25) ** 2 - 1))]
+    assert errors[0] / errors[1] == pytest.approx((49 / 25) ** 2, rel=0.15) and errors[2] < 0.1 * errors[1] < 1e-3
 
 
 def test_the_potential_vorticity_obeys_its_equation():

@@ -24,6 +24,18 @@ def random_state(s, seed=1, size=0.5):
     return size * X / np.abs(X).max()
 
 
+@pytest.mark.parametrize("layer", [0, 1])
+def test_a_weak_field_beside_a_strong_one_has_its_rounding(layer):
+    """The end of a run begins the next one; other matrices are refused by the layer."""
+    s = co.systems.reduced_mhd(9, "torus")
+    X = np.stack([s.fluid.from_modes({(0, 1): 9.0}), 1e-4 * s.fluid.random(2)])
+    end = co.integrate(s, X, (0, 0.5), 0.004, co.IsospectralGauss()).x[-1]
+    np.testing.assert_allclose(co.integrate(s, end, (0, 0.004), 0.004, co.IsospectralGauss()).x[0], end, atol=1e-13)
+    end[layer, 0, 1] += 1e-9
+    with refused(ValueError, f"layer {layer}", "skew-Hermitian"):
+        co.integrate(s, end, (0, 1), 0.5, co.IsospectralGauss())
+
+
 @pytest.mark.thinned(2)
 @ALL
 def test_invariants(s):

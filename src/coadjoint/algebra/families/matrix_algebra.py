@@ -300,7 +300,7 @@ class MatrixAlgebra:
             result[..., rows, rows] = part
         return result
 
-    def read(self, given: Any, what: str = "x0") -> Matrix:
+    def read(self, given: Any, what: str = "x0", beside: npt.ArrayLike = 0.0) -> Matrix:
         """Validate matrices of the algebra and project them onto it exactly.
 
         Parameters
@@ -309,6 +309,8 @@ class MatrixAlgebra:
             Matrices to validate.
         what : str
             Argument name used in messages.
+        beside : float or (members,) array
+            Largest entries of matrices that act on these, whose rounding they have.
 
         Returns
         -------
@@ -336,7 +338,7 @@ class MatrixAlgebra:
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
         near = self.projected(A, spared=TRACE_TOLERANCE)
         away, size = (np.abs(B).max(axis=(-2, -1), initial=0.0).reshape(-1) for B in (A - near, A))
-        wrong = np.flatnonzero(away > MEMBERSHIP_TOLERANCE * self.N * size)
+        wrong = np.flatnonzero(away > MEMBERSHIP_TOLERANCE * self.N * np.maximum(size, beside))
         if len(wrong):
             member = wrong[0]
             label = f"{what}[{member}]" if A.ndim == 3 else what

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -14,6 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader, normal_deviates, read_seed
 from coadjoint.systems.forces.mode_force import (
+    LayerChange,
     ModeBasis,
     ModeRates,
     Numbers,
@@ -25,6 +26,7 @@ from coadjoint.systems.forces.mode_force import (
     noise_matrix,
     read_layer,
 )
+from coadjoint.systems.matrices.streams import LayeredStream
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, read_nonnegative, read_number
@@ -164,7 +166,9 @@ class BetaPlane(ModeRates):
 
     The mode n rotates by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
     ``sigma = -beta n1/|n|^2``, for `torus_qg` with ``|n|^2 + gamma`` in place of ``|n|^2``, and travels to the west for
-    a positive beta, with x eastward and y northward. Energy and enstrophy are preserved. The term is that of the
+    a positive beta, with x eastward and y northward. In a `layered_qg` it acts on all layers: each vertical mode has
+    waves of its own, with its eigenvalue of the coupling in place of gamma. Energy and enstrophy, of layers their sum
+    by thicknesses, are preserved. The term is that of the
     continuous fluid: it derives from no Hamiltonian of the matrix model, breaks its bracket, and changes the other
     Casimirs, tr W^3 and so on. On the sphere the rotation of the frame has this effect within the model:
     ``sphere_euler(rotation=...)``.
@@ -210,11 +214,24 @@ class BetaPlane(ModeRates):
                 f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
                 "sphere_euler(rotation=...)"
             )
-        if system.independent_layers:
-            raise ValueError(
-                f"BetaPlane acts on a fluid of one layer, and {system.name} has layers; take them on the sphere, with "
-                "rotation="
-            )
+
+    def _selected_modes(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode, list[LayerChange]]:
+        if not system.independent_layers:
+            return super()._selected_modes(system, modes)
+        # Each vertical mode of a wave turns by itself, so that a wave is listed once for each.
+        stream: LayeredStream = system.stream
+        numbers = [modes.numbers(d) for d in range(modes.diagonals)]
+        numbers = [k[self.beta * representatives(modes.N)[k] != 0.0] for k in numbers]
+        rates = [
+            np.concatenate([self.rates(replace(modes, stream=one), d, k) for one in stream.of_modes])
+            for d, k in enumerate(numbers)
+        ]
+        changes = [
+            LayerChange(k, j, [np.repeat(stream.to_layers[k] * stream.to_modes[:, j], len(one)) for one in numbers])
+            for k in range(len(stream.weights))
+            for j in range(len(stream.weights))
+        ]
+        return [np.tile(one, len(stream.weights)) for one in numbers], rates, changes
 
     def preserves_energy(self, system: Any) -> bool:
         """Whether the energy is preserved: the phases of modes turn, and it depends on their sizes."""

@@ -11,7 +11,7 @@ from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlg
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.validation import set_fields, to_array
+from coadjoint.validation import read_complex, set_fields, to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -48,7 +48,9 @@ class StackedSystem(MatrixSystem):
                 f"{what} has the shape {state.shape}; it must be {self.shape}, {self.layer_names}, or "
                 f"(members, {str(self.shape)[1:]}"
             )
-        layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},") for k in range(self.shape[0])]
+        # A layer has the rounding of the others, which move it.
+        size = np.nan_to_num(np.abs(read_complex(state, what)).max(axis=(-3, -2, -1), initial=0.0))
+        layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},", size) for k in range(self.shape[0])]
         return np.stack(layers, axis=-3)
 
     def to_vector(self, W: Any) -> Floats:

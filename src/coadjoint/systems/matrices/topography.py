@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.errors import in_one_line
 from coadjoint.labels import is_xarray
 from coadjoint.long_operations import warn_caller
+from coadjoint.optional_packages import MissingPackageError
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.labelled_fields import WITHOUT_UNITS, labelled_field, read_field, units_of
 from coadjoint.validation import read_finite, read_numbers, to_array
@@ -39,7 +40,7 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height", 
     argument.
     """
     if isinstance(given, Mapping):
-        return _rows(surface.read_modes(given), surface)
+        return _of_modes(given, surface, quantity, what)
     if callable(given) and not is_xarray(given):
         given = _values_of(given, surface, what)
     elif isinstance(given, str | Path):
@@ -62,7 +63,7 @@ def topography_rows(given: Any, surface: FluidSystem, quantity: str = "height", 
         modes = {(int(a), int(b)): complex(*row[2:]) for (a, b), row in zip(whole, values, strict=True)}
         if len(modes) < len(values):
             raise ValueError(f"{what} has a mode twice; give each once")
-        return _rows(surface.read_modes(modes), surface)
+        return _of_modes(modes, surface, quantity, what)
     shape = tuple(map(len, surface.grid()))
     if values.shape != shape:
         raise ValueError(
@@ -86,16 +87,35 @@ def _values_of(function: Callable[..., Any], surface: FluidSystem, what: str) ->
 def _checked(values: Floats, modes: Complexes, surface: FluidSystem, quantity: str, what: str) -> Floats:
     """Return modes as rows; warn if the values are no fractions of a depth, or have a mean, which is dropped."""
     size = float(np.abs(values).max(initial=0.0))
-    if quantity == "height" and size > 1.0:
-        warn_caller(
-            f"{what} reaches {size:g}; it is the height divided by the mean depth, and should be small", UserWarning
-        )
+    _warn_unless_small(size, quantity, what)
     mean = float(modes[0, 0].real) * surface.mean_factor
     if abs(mean) > MEAN_TOLERANCE * size:
         text = f"{what} has the mean {mean:g}, which is dropped: heights are relative to the mean depth"
         warn_caller(text, UserWarning)
     modes[0, 0] = 0.0
     return _rows(modes, surface)
+
+
+def _of_modes(given: Mapping[Any, Any], surface: FluidSystem, quantity: str, what: str) -> Floats:
+    """Return given modes as rows; warn as for values on a grid, or without ducc0 by their root mean square."""
+    modes = surface.read_modes(given)
+    if quantity == "height" and modes.any():
+        try:
+            size = np.abs(surface.to_grid(surface.from_modes(modes))).max()
+        except MissingPackageError:
+            size = np.sqrt((np.sum(np.abs(modes) ** 2) + np.sum(np.abs(modes[:, 1:]) ** 2)) / (4.0 * np.pi))
+        _warn_unless_small(float(size), quantity, what)
+    return _rows(modes, surface)
+
+
+def _warn_unless_small(size: float, quantity: str, what: str) -> None:
+    """Warn if heights of this largest size are no fractions of a depth: the ground is above the fluid."""
+    if quantity == "height" and size > 1.0:
+        warn_caller(
+            f"{what} reaches {size:g}; it is the height divided by the mean depth, which is small in "
+            "quasi-geostrophic flow, and at 1 the ground is above the fluid; divide heights by the depth",
+            UserWarning,
+        )
 
 
 def _rows(modes: Complexes, surface: FluidSystem) -> Floats:

@@ -35,9 +35,10 @@ class ModeForce {
             for (int64_t e = 0; e < square; ++e) at_rest[square + e] += factors[e] * X[e];
             rest = at_rest.data();
         }
+        const Complex* const source = as_before(X);
         for (int64_t k = 0; k < table.function[0]; ++k) {
             const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
-            modes.change(X + changed, X + read, rest ? rest + read : nullptr, false, change_of(k, 1.0));
+            modes.change(X + changed, source + read, rest ? rest + read : nullptr, false, change_of(k, 1.0));
         }
         if (!factors) return;
         Complex mean(0.0);
@@ -52,12 +53,12 @@ class ModeForce {
     // Apply the derivative of `relax`, or its transpose, to layers of skew-Hermitian matrices, without a buoyancy.
     void carry(double* vector, double tau, bool transposed) {
         if (prepared_for != tau) prepare(tau);
-        const int64_t square = modes.size() * modes.size(), changes = table.function[0];
+        const int64_t square = modes.size() * modes.size();
         Complex* const X = reinterpret_cast<Complex*>(vector);
-        for (int64_t j = 0; j < changes; ++j) {
-            const int64_t k = transposed ? changes - 1 - j : j;
-            Complex *const changed = X + table.function[2 + 2 * k] * square, *const read = X + table.function[3 + 2 * k] * square;
-            modes.change(transposed ? read : changed, transposed ? changed : read, nullptr, false,
+        const Complex* const source = as_before(X);
+        for (int64_t k = 0; k < table.function[0]; ++k) {
+            const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
+            modes.change(X + (transposed ? read : changed), source + (transposed ? changed : read), nullptr, false,
                          change_of(k, transposed ? -1.0 : 1.0));
         }
     }
@@ -85,10 +86,20 @@ class ModeForce {
     }
 
   private:
+    // The layers as they are before any changes, which several changes read.
+    const Complex* as_before(const Complex* X) {
+        if (table.function[0] <= 1) return X;
+        const int64_t* const layers = table.function + 2;
+        const int64_t last = *std::max_element(layers, layers + 2 * table.function[0]);
+        unchanged.assign(X, X + (last + 1) * modes.size() * modes.size());
+        return unchanged.data();
+    }
+
     const ForceTable& table;
     Modes modes;
     std::vector<double> values;
     std::vector<Complex> before, at_rest;  // the buoyancy before a change, and the state at rest with its part
+    std::vector<Complex> unchanged;  // layers before the changes
     double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `values` is computed
 
     // exp(-(rate + i turning) tau) - 1.

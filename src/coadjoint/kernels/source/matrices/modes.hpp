@@ -154,7 +154,8 @@ class Modes {
         for (int64_t e = from; e < to; ++e) {
             const int64_t k = table.direction[e];
             const Complex rotated = times(first_of(k, d), move(e, coefficients[e - from]));
-            x[2 * k % n] = {rotated.real(), rotated.imag()};
+            ComplexNumber<double>& sum = x[2 * k % n];  // of all rates of a mode
+            sum = {sum.re + rotated.real(), sum.im + rotated.imag()};
         }
         const ComplexNumber<double>* sums = own.fourier.transform(x);
         for (int64_t a = 0; a < n; ++a) {
