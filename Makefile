@@ -70,8 +70,8 @@ core:
 torch:
 	rm -rf build/torch
 	$(PYTHON) -m venv build/torch
-	build/torch/bin/python -m pip install --quiet --disable-pip-version-check . pytest torch==2.13.0
-	cd tests && "$(CURDIR)/build/torch/bin/python" -m pytest public/derivatives/test_torch.py
+	build/torch/bin/python -m pip install --quiet --disable-pip-version-check ".[jax]" pytest torch==2.13.0
+	cd tests && "$(CURDIR)/build/torch/bin/python" -m pytest public/derivatives/test_torch*.py
 
 # What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
 # those that are not yet released.

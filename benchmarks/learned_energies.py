@@ -13,7 +13,7 @@ Rows have the mean square of runs from the initial states of the samples over th
 square, and largest, in the range of the samples) after what Casimirs may add, the largest errors of states and
 Casimirs in a run ten times longer, from initial states that were not learned.
 
-python benchmarks/learned_energies.py [--seconds S] [--only NAME]
+python benchmarks/learned_energies.py [--seconds S] [--only NAME] [--seed K]
 """
 
 from __future__ import annotations
@@ -314,12 +314,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--only", default="")
+    parser.add_argument("--seed", type=int, default=0, help="of initial states and of the start of weights")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     for name, problem in PROBLEMS.items():
         if arguments.only not in name:
             continue
-        rng = np.random.default_rng(5)
+        rng = np.random.default_rng(5 + arguments.seed)
         print(f"{name}\n{regression(problem, rng)}")
         truth = co.LiePoissonSystem(problem.algebra, problem.energy, sign=-1)
         data = co.integrate(truth, problem.states(rng, problem.members), (0, SPAN), STEP, co.GaussLegendre(4)).x
@@ -332,7 +333,7 @@ def main() -> None:
         losses: list[float] = []
         for model, learn in MODELS.items():
             began = time.process_time()
-            run, energy = learn(problem, data, np.random.default_rng(1), arguments.seconds)
+            run, energy = learn(problem, data, np.random.default_rng(1 + arguments.seed), arguments.seconds)
             seconds = time.process_time() - began
             losses.append(float(np.mean((np.asarray(run(data[0], len(data) - 1)) - data) ** 2)))
             x = np.asarray(run(fresh, len(exact) - 1))

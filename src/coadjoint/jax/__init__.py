@@ -17,6 +17,7 @@ from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
+from coadjoint.systems.learned_forces import LearnedDoubleBracket, LearnedTorque
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
 
@@ -95,9 +96,9 @@ def double_bracket(root: Callable[..., Any], params: Any) -> Force:
     (True, True)
     """
     require_packages("co.jax.double_bracket", "jax")
-    from coadjoint.jax.learned_forces import JaxDoubleBracket
+    from coadjoint.jax.library import RootFunction
 
-    return JaxDoubleBracket(root, params)
+    return LearnedDoubleBracket(RootFunction(root, params))
 
 
 def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
@@ -156,7 +157,7 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     (4, 3)
     """
     require_packages("co.jax.energy", "jax")
-    from coadjoint.jax.energies import JaxEnergy
+    from coadjoint.jax.library import JaxEnergy
 
     return Hamiltonian(JaxEnergy(function, params))
 
@@ -216,7 +217,7 @@ def features(function: Callable[..., Any], directions: Any, params: Any) -> Hami
     True
     """
     require_packages("co.jax.features", "jax")
-    from coadjoint.jax.energies import FeatureEnergy
+    from coadjoint.jax.library import FeatureEnergy
 
     return Hamiltonian(FeatureEnergy(function, (directions, params)))
 
@@ -355,7 +356,7 @@ def solution(
         For unknown names, wrong shapes, and initial states and attitudes that `PreparedRun.run` refuses.
     IntegrationError
         As in `integrate`; inside of ``jit`` the error of JAX contains its message. With ``backend="xla"`` states are
-        NaN in place of an error.
+        NaN in place of an error, with a `LargeStepWarning` outside of ``jit`` and ``vmap``; inside test the last one.
 
     Notes
     -----
@@ -395,11 +396,12 @@ def solution(
         raise unknown_name("backend", backend, BACKENDS)
     undoes = read_choice(reverse, "reverse", REVERSES) == "reversible"
     require_packages("co.jax.solution", "jax")
+    from coadjoint.jax.library import LIBRARY
     from coadjoint.jax.primitives import solve
     from coadjoint.jax.xla_run import XlaRun
 
     ready = prepared_of(ready, method, step, "co.jax.solution")
-    learned = type(ready) is PreparedRun and function_with_params(ready.system, JaxFunction) is not None
+    learned = type(ready) is PreparedRun and function_with_params(ready.system, JaxFunction, LIBRARY) is not None
     compute: Callable[..., Any]
     on_xla = learned if backend is None else backend == "xla"
     if on_xla:
@@ -484,9 +486,9 @@ def torque(function: Callable[..., Any], params: Any) -> Force:
     (True, True)
     """
     require_packages("co.jax.torque", "jax")
-    from coadjoint.jax.learned_forces import JaxTorque
+    from coadjoint.jax.library import TorqueFunction
 
-    return JaxTorque(function, params)
+    return LearnedTorque(TorqueFunction(function, params))
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other

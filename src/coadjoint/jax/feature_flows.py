@@ -9,7 +9,8 @@ import jax
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.stage_steps import CoadjointAction, EnergyNumbers, Steps
+from coadjoint.jax.stage_steps import CoadjointAction, Steps
+from coadjoint.methods.force_flows import EnergyNumbers
 from coadjoint.program.sweeps import JoinRules, stages_of
 from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedFeatures
 

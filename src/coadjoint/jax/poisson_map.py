@@ -12,8 +12,8 @@ import numpy as np
 from jax import lax
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.jax.energies import FeatureEnergy
 from coadjoint.jax.feature_flows import feature_flow
+from coadjoint.jax.library import FeatureEnergy
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import CoadjointAction
 from coadjoint.short_repr import short

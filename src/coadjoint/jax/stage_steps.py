@@ -12,16 +12,15 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
-from coadjoint.methods.numerics.solvers import (
-    LARGEST_CORRECTION,
-    LARGEST_ROUNDOFF,
-    LARGEST_SAMPLED,
-    MOST_ITERATIONS,
-    SAMPLED,
-    SAMPLES,
-    STALLED,
-    Coefficients,
+from coadjoint.methods.force_flows import EnergyNumbers
+from coadjoint.methods.numerics.fixed_point import (
+    allowed_change,
+    corrections,
+    is_undecided,
+    is_unfinished,
+    sampled,
 )
+from coadjoint.methods.numerics.solvers import MOST_ITERATIONS, Coefficients
 from coadjoint.program.coadjoint_exponential import common_square, exponential
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
@@ -68,37 +67,28 @@ def _iterated(function: Callable[[Any], Any], first: Any, size: Any, most: int) 
 
     def unfinished(carry: Any) -> Any:
         _, _, correction, _, stalled, k = carry
-        patience = jnp.where(correction <= LARGEST_ROUNDOFF, STALLED, most)
-        patience = jnp.where(correction <= LARGEST_CORRECTION, 1, patience)
-        return (stalled < patience) & (correction > 2.0 * UNIT_ROUNDOFF) & (k < most)
+        return is_unfinished(correction, stalled) & (k < most)
 
     def improved(carry: Any) -> Any:
         z, _, _, least, stalled, k = carry
         found = function(z)
-        change, reach = jnp.abs(found - z), jnp.abs(found) + size
-        correction = jnp.max(jnp.where(change > 0.0, change / reach, 0.0))
+        correction = jnp.max(corrections(jnp, z, found, size))
         stalled = jnp.where(correction < least, 0, stalled + 1)
-        return found, jnp.max(change), correction, jnp.minimum(least, correction), stalled, k + 1
+        return found, jnp.max(jnp.abs(found - z)), correction, jnp.minimum(least, correction), stalled, k + 1
 
     z, change, *_ = lax.while_loop(unfinished, improved, (first, jnp.inf, jnp.inf, jnp.inf, 0, 0))
     extent, own = jnp.max(jnp.abs(z)), jnp.max(size)
-    allowed = LARGEST_CORRECTION * extent + 16.0 * UNIT_ROUNDOFF * own
     entries = jnp.arange(1.0, z.size + 1.0).reshape(z.shape)
 
-    # Where terms of the function cancel, its round-off is larger: the distance of its values at disturbed points.
     def undecided(carry: Any) -> Any:
-        _, change, allowed, sample = carry
-        return (change > allowed) & (change <= LARGEST_SAMPLED * (extent + own)) & (sample <= SAMPLES)
+        (_, change, allowed), sample = carry
+        return is_undecided(change, allowed, extent, own, sample)
 
-    def sampled(carry: Any) -> Any:
-        z, change, allowed, sample = carry
-        roundings = UNIT_ROUNDOFF * jnp.round(8.0 * jnp.cos(sample * entries)) * (jnp.abs(z) + size)
-        found = function(z)
-        distance = jnp.max(jnp.abs(function(z + roundings) - found))
-        change = jnp.minimum(change, jnp.max(jnp.abs(found - z)))
-        return found, change, jnp.maximum(allowed, SAMPLED * distance), sample + 1
+    def next_sample(carry: Any) -> Any:
+        known, sample = carry
+        return sampled(jnp, jnp.max, function, entries, size, sample, *known), sample + 1
 
-    z, change, allowed, _ = lax.while_loop(undecided, sampled, (z, change, allowed, 1))
+    (z, change, allowed), _ = lax.while_loop(undecided, next_sample, ((z, change, allowed_change(extent, own)), 1))
     return jnp.where(change <= allowed, z, jnp.nan)
 
 
@@ -122,13 +112,6 @@ def fixed_point(function: Callable[[Any], Any], first: Any, size: Any = 0.0, mos
 
 def _unchanged(constants: Any, state: Any, *_: Any) -> Any:
     return state
-
-
-class EnergyNumbers(NamedTuple):
-    """The numbers of the energy of a run: coefficients of its monomials, and the params of its function or None."""
-
-    coefficients: Any
-    params: Any = None
 
 
 class Steps(NamedTuple):
@@ -217,12 +200,6 @@ class StageField(CoadjointAction):
         for coordinates, gradient in self._gradients:
             slopes = slopes.at[coordinates].add(gradient.at(padded[coordinates], t, energy.params))
         return slopes
-
-
-def midpoint_on_orbit(action: CoadjointAction, direction: Callable[[Any], Any], x: Any) -> Any:
-    """Return exp(D_v) x with v = direction(y) at the midpoint y = exp(D_v / 2) x."""
-    middle = fixed_point(lambda middle: action.exponential(0.5 * direction(middle), x), x, jnp.abs(x))
-    return action.exponential(direction(middle), x)
 
 
 def stage_steps(field: StageField, tableau: Coefficients) -> Steps:

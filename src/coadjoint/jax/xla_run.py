@@ -16,11 +16,13 @@ from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.isospectral_steps import isospectral_steps, project
+from coadjoint.jax.library import LIBRARY
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import SAVED, CoadjointAction, EnergyNumbers, StageField, Steps, stage_steps
+from coadjoint.jax.stage_steps import SAVED, CoadjointAction, StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
 from coadjoint.jax.traced_functions import compare_with_compiled, gradient_of, sample_states
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.force_flows import EnergyNumbers
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.isospectral_gauss import IsospectralGauss
 from coadjoint.methods.protocol.composed import Substeps
@@ -66,7 +68,7 @@ class XlaRun:
         # Where it `undoes`, reverse mode takes the steps back from the saved states, without storing others.
         self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, compiled=False)
-        inputs, self._function = prepared.inputs, function_with_params(prepared.system, JaxFunction)
+        inputs, self._function = prepared.inputs, function_with_params(prepared.system, JaxFunction, LIBRARY)
         self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         first = self._system.of_member(0).unforced
@@ -140,6 +142,7 @@ class XlaRun:
         found = self.solve(values, params)
         if NAME not in parameters and not any(value is None for value in known.values()):
             self._run.check_first_step(known)
+        self._run.warn_of_nan(_known_numbers(found[0] if type(found) is tuple else found))
         return found
 
     def _check_differentiable(self, start: Any, params: Any) -> None:

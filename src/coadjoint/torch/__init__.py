@@ -1,4 +1,4 @@
-"""Energies, and runs as differentiable functions, of PyTorch (``co.torch``)."""
+"""Energies, forces, and runs as differentiable functions, of PyTorch (``co.torch``)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,74 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun, prepared_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.parametrized_functions import NAME, function_with_params
+from coadjoint.systems.learned_forces import LearnedDoubleBracket, LearnedTorque
 from coadjoint.systems.system import System
 
-__all__ = ["energy", "features", "solution"]
+__all__ = ["double_bracket", "energy", "features", "solution", "torque"]
 
 TYPE_CHECKING = False
+
+
+def double_bracket(root: Callable[..., Any], params: Any = None) -> Force:
+    """Return damping on the orbit with a metric of parameters, ``x' = J(x) P J(x) grad H`` with P = L L^T, as a force.
+
+    Use it to learn a dissipation that keeps every Casimir, as `coadjoint.jax.double_bracket`: the energy falls for all
+    parameters, and states stay on their coadjoint orbits to round-off. For a known metric use
+    `coadjoint.forces.DoubleBracketDamping`; for a friction that leaves the orbit, `torque`.
+
+    Parameters
+    ----------
+    root : torch.nn.Module or callable
+        The root L of a state (n,), as the function of `energy`: a number, a diagonal (n,), or (n, k), by operations of
+        PyTorch.
+    params : tree of tensors of float64, optional
+        As of `energy`. If the energy or other forces have params too, all of them take the same ones.
+
+    Returns
+    -------
+    Force
+        For ``system.with_forces``. Runs by `solution` take and differentiate ``params=``; compiled loops call the
+        function in Python, at the given parameters.
+
+    Raises
+    ------
+    ImportError
+        PyTorch is not installed; the extra is ``coadjoint[torch]``.
+    TypeError
+        As `energy`. On the system: the function fails, or the system has no structure constants.
+    ValueError
+        On the system: the root has another shape.
+
+    Notes
+    -----
+    The flow is the midpoint rule of `coadjoint.forces.DoubleBracketDamping`.
+
+    See Also
+    --------
+    coadjoint.jax.double_bracket : The same in JAX.
+    torque : Forces that leave the orbit.
+
+    Examples
+    --------
+    ::
+
+        import torch
+        import coadjoint as co
+
+        params = {"form": torch.tensor([1.0, 0.5, 0.4]).double(), "root": 0.3 * torch.eye(3, dtype=torch.float64)}
+        H = co.torch.energy(lambda x, p: p["form"] @ x**2 / 2, params)
+        damping = co.torch.double_bracket(lambda x, p: p["root"], params)
+        system = co.LiePoissonSystem(co.algebras.so(3), H, sign=-1).with_forces(damping)
+        run = co.torch.solution(system, (0, 5), method=co.GaussLegendre(1), step=0.1)
+        torch.func.grad(lambda params: run((1.0, 0.2, 0.5), params=params)[-1, 0])(params)["root"]
+    """
+    require_packages("co.torch.double_bracket", "torch")
+    from coadjoint.torch.library import RootFunction
+
+    return LearnedDoubleBracket(RootFunction(root, params))
 
 
 def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
@@ -74,7 +135,7 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
         network[0].weight.grad
     """
     require_packages("co.torch.energy", "torch")
-    from coadjoint.torch.energies import TorchEnergy, TorchFunction
+    from coadjoint.torch.library import TorchEnergy, TorchFunction
 
     made = TorchEnergy(function, params)
     return Hamiltonian(*(TorchFunction(made, order) for order in range(3)))
@@ -139,7 +200,7 @@ def features(function: Callable[..., Any], directions: Any, params: Any) -> Hami
         sizes.grad
     """
     require_packages("co.torch.features", "torch")
-    from coadjoint.torch.energies import TorchFeatures, TorchFunction
+    from coadjoint.torch.library import TorchFeatures, TorchFunction
 
     made = TorchFeatures(function, (directions, params))
     return Hamiltonian(*(TorchFunction(made, order) for order in range(3)))
@@ -175,8 +236,9 @@ def solution(
         A function ``g(x0, *, attitude0=None, **parameters)`` of tensors of float64 on the processor, or numbers. It
         returns the states, (k, n) for x0 of shape (n,) and (k, members, n) for (members, n); for a run prepared with an
         attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
-        and default to these values; of an energy of `energy` or `features` they are ``params``. A system with other
-        parameters is prepared in each call, and the last one is cached; other params need no preparation.
+        and default to these values; of `energy`, `features`, `torque` and `double_bracket` they are ``params``, one
+        tree for all. A system with other parameters is prepared in each call, and the last one is cached; other params
+        need no preparation.
 
     Raises
     ------
@@ -184,24 +246,26 @@ def solution(
         PyTorch is not installed; the extra is ``coadjoint[torch]``.
     TypeError
         The run has no derivatives; a tensor is not of float64, or on another device; a step or scheme for a prepared
-        run, or none for a system; another scheme than `GaussLegendre`, and `Splitting` for `features`, or forces,
-        batches, inputs or attitudes beside such an energy; or the callable is given parameters by position.
+        run, or none for a system; with params: another scheme than `GaussLegendre`, and `Splitting` for `features`,
+        batches, inputs, attitudes, or forces with functions of NumPy; or the callable is given parameters by position.
     ValueError
         For unknown names and wrong shapes; an initial state where an energy of `energy` has no derivatives.
     IntegrationError
-        As in `integrate`. Beside energies of `energy` states are NaN in place of an error.
+        As in `integrate`. With params states are NaN in place of an error, with a `LargeStepWarning` outside of
+        transformations.
 
     Notes
     -----
     Runs are those of the compiled loops, with first derivatives; ``vmap`` over initial states makes one ensemble, over
-    parameters and derivatives one run follows the other. With an energy of `energy` the steps are operations of
-    PyTorch: stages are iterated to rounding, at most 50 times, and differentiated as the solution of their equations,
-    to every order. The stages of all steps are stored for reverse mode.
+    parameters and derivatives one run follows the other. With params the steps are operations of PyTorch, between half
+    flows of forces with the noise of the compiled runs: stages are iterated to rounding, at most 50 times, and
+    differentiated as the solution of their equations, to every order. The stages of all steps are stored for reverse
+    mode.
 
     See Also
     --------
     coadjoint.PreparedRun.vjp : Gradients without PyTorch.
-    coadjoint.jax.solution : Runs as functions of JAX, with learned forces, and long runs.
+    coadjoint.jax.solution : Runs as functions of JAX, which compiles them, and long runs.
 
     Examples
     --------
@@ -218,11 +282,11 @@ def solution(
     """
     require_packages("co.torch.solution", "torch")
     from coadjoint.torch.compiled_runs import solve
-    from coadjoint.torch.energies import TorchFunction
+    from coadjoint.torch.library import LIBRARY, TorchFunction
     from coadjoint.torch.stage_runs import StageRun
 
     ready = prepared_of(ready, method, step, "co.torch.solution")
-    learned = type(ready) is PreparedRun and function_with_params(ready.system, TorchFunction) is not None
+    learned = type(ready) is PreparedRun and function_with_params(ready.system, TorchFunction, LIBRARY) is not None
     compute: Callable[..., Any]
     if learned:
         compute = StageRun(ready, t_span, save_every, t_eval)
@@ -237,11 +301,72 @@ def solution(
         if NAME in parameters and not learned:
             raise ValueError(
                 f"{ready.system.name} has no params of PyTorch; give co.torch.energy(function, params) as its "
-                "Hamiltonian"
+                "Hamiltonian, or co.torch.torque(function, params) as a force"
             )
         return compute(x0, attitude0, parameters)
 
     return solution_of
+
+
+def torque(function: Callable[..., Any], params: Any = None) -> Force:
+    """Return a torque of parameters, ``x' = N(x, params)``, such as a module, as a force.
+
+    Use it to learn a friction, a drag or a drive beside a known or learned energy, as `coadjoint.jax.torque`. For a law
+    without parameters to learn, or with named numbers, use `coadjoint.forces.Torque`, which is compiled; for a
+    dissipation that keeps the Casimirs, `double_bracket`.
+
+    Parameters
+    ----------
+    function : torch.nn.Module or callable
+        The contribution to x' of a state, (n,), as the function of `energy`. For bodies, such as
+        `coadjoint.systems.body`, it may return the torque in the frame of the body, (3,), or of k bodies, (k, 3).
+    params : tree of tensors of float64, optional
+        As of `energy`. If the energy or other forces have params too, all of them take the same ones: one tree with
+        all parameters of the run, of which each function uses its own.
+
+    Returns
+    -------
+    Force
+        For ``system.with_forces``. Runs by `solution` take and differentiate ``params=``; compiled loops call the
+        function in Python, at the given parameters.
+
+    Raises
+    ------
+    ImportError
+        PyTorch is not installed; the extra is ``coadjoint[torch]``.
+    TypeError
+        As `energy`. On the system: the function fails, or the system has no structure constants.
+    ValueError
+        On the system: the values have another shape, or axes, directions or positions would be changed.
+
+    Notes
+    -----
+    The flow is that of `coadjoint.forces.Torque`: a step of the Runge-Kutta method of order 4, in schemes of higher
+    order an extrapolated midpoint rule.
+
+    See Also
+    --------
+    coadjoint.jax.torque : The same in JAX.
+    double_bracket : Dissipation on the orbit.
+
+    Examples
+    --------
+    ::
+
+        import torch
+        import coadjoint as co
+
+        rate = torch.tensor(0.1, dtype=torch.float64, requires_grad=True)
+        drag = co.torch.torque(lambda x, rate: -rate * torch.linalg.norm(x) * x, rate)
+        body = co.systems.rigid_body((1.0, 2.0, 3.0)).with_forces(drag)
+        run = co.torch.solution(body, (0, 10), method=co.GaussLegendre(2), step=0.1)
+        run((1.0, 0.2, 0.5), params=rate)[-1, 0].backward()
+        rate.grad
+    """
+    require_packages("co.torch.torque", "torch")
+    from coadjoint.torch.library import TorqueFunction
+
+    return LearnedTorque(TorqueFunction(function, params))
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other

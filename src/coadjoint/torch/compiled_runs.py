@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.torch.energies import double
+from coadjoint.torch.autograd_functions import OnHost, in_turn
+from coadjoint.torch.library import double
 
 
 def solve(run: ParametrizedRun, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -22,40 +22,6 @@ def solve(run: ParametrizedRun, x0: Any, attitude0: Any, parameters: Mapping[str
     for_gradient = torch.is_grad_enabled() and any(value.requires_grad for value in values.values())
     outputs = RunFunction.apply(run, tuple(values), for_gradient, *values.values())
     return outputs if len(outputs) > 1 else outputs[0]
-
-
-def _in_turn(function: Callable[..., Any], size: int, dims: Any, tensors: Any) -> tuple[Any, Any]:
-    """Apply a function to the entries of a batch, one after the other."""
-    each = [
-        function(*(one if d is None else one.select(d, k) for one, d in zip(tensors, dims, strict=True)))
-        for k in range(size)
-    ]
-    found = tuple(torch.stack(own) for own in zip(*each, strict=True))
-    return found, (0,) * len(found)
-
-
-class OnHost(torch.autograd.Function):  # type: ignore[misc]
-    """A function of NumPy arrays, for tensors: transforms of PyTorch unwrap the arguments of `forward` alone."""
-
-    @staticmethod
-    def forward(compute: Any, *tensors: Any) -> Any:
-        found = compute(*(tensor.detach().numpy() for tensor in tensors))
-        # Copies: tensors may not share memory with cached runs.
-        return tuple(torch.from_numpy(np.array(one)) for one in found)
-
-    @staticmethod
-    def setup_context(context: Any, inputs: Any, output: Any) -> None:
-        pass
-
-    @staticmethod
-    def backward(context: Any, *cotangents: Any) -> Any:
-        raise NotImplementedError("runs have first derivatives only; take differences of gradients")
-
-    jvp = backward
-
-    @staticmethod
-    def vmap(info: Any, in_dims: Any, compute: Any, *tensors: Any) -> Any:
-        return _in_turn(lambda *own: OnHost.apply(compute, *own), info.batch_size, in_dims[1:], tensors)
 
 
 class RunFunction(torch.autograd.Function):  # type: ignore[misc]
@@ -104,7 +70,7 @@ class RunFunction(torch.autograd.Function):  # type: ignore[misc]
         of_parameters = any(d is not None for name, d in zip(names, in_dims[3:], strict=True) if run.is_parameter(name))
         if of_parameters or x0.ndim > (1 if dims[0] is None else 2) or not shared:
             own = lambda *one: RunFunction.apply(run, names, for_gradient, *one)  # noqa: E731
-            return _in_turn(own, info.batch_size, dims, values)
+            return in_turn(own, info.batch_size, dims, values)
         # Initial states become members of one ensemble.
         members = [
             value

@@ -390,9 +390,12 @@ def end_of(run):
 def test_casimirs_stay_and_steps_without_stages_are_nan():
     run, _ = learned_run()
     np.testing.assert_allclose((run(MANY) ** 2).sum(-1)[-1], (MANY**2).sum(-1), rtol=1e-14)
-    many = torch.tensor(np.array([X0, 1e4 * X0]))
-    found = learned_run()[0](many, params={name: one for name, one in modules().named_parameters()})
+    many, params = torch.tensor(np.array([X0, 1e4 * X0])), dict(modules().named_parameters())
+    with pytest.warns(co.LargeStepWarning, match="of member 1 are NaN from t = 1 on"):
+        found = run(many, params=params)
     assert found[-1, 0].isfinite().all() and found[-1, 1].isnan().all()
+    by_vmap = torch.func.vmap(lambda x0: run(x0, params=params), out_dims=1)  # whose numbers are not known: no warning
+    assert torch.equal(by_vmap(many).isnan(), found.isnan())
 
 
 def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
@@ -470,11 +473,9 @@ LEARNED = {
             co.torch.features(feature, *feature_params(3)), method=co.Splitting(order=4, compensated=True)
         ), TypeError, ["compensated=False"],
     ),
-    "forces": (
-        lambda: co.torch.solution(
-            learned_run()[1].with_forces(co.forces.LinearDamping(0.1)), (0, 1), method=co.GaussLegendre(1), step=0.1
-        ),
-        TypeError, ["forces", "LinearDamping"],
+    "attitude": (
+        lambda: co.torch.solution(co.prepare(learned_run()[1], co.GaussLegendre(1), 0.1, attitude=True), (0, 1)),
+        TypeError, ["attitudes", "batches"],
     ),
     "kink": (
         lambda: body(co.torch.energy(root, np.ones(3)))([[0.1, 0.2, 0.3], [0.0, 0.5, 1.0]]), ValueError,

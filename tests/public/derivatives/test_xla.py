@@ -350,7 +350,12 @@ def test_times_between_steps_have_the_moments_of_the_run(name):
 def test_stages_that_do_not_converge_are_nan():
     ready = prepared(method=co.GaussLegendre(2))
     f = co.jax.solution(ready, (0, 0.05), backend="xla")
-    assert np.isfinite(f(X0)).all() and np.isnan(f(1e3 * X0)[-1]).all()
+    assert np.isfinite(f(X0)).all()
+    with pytest.warns(co.LargeStepWarning, match=r"states are NaN from t = 0\.05 on"):
+        assert np.isnan(f(1e3 * X0)[-1]).all()
+    with pytest.warns(co.LargeStepWarning, match="states of member 1 are NaN"):
+        jax.grad(lambda x0: f(x0).sum())(np.array([X0, 1e3 * X0]))
+    assert np.isnan(jax.jit(f)(1e3 * X0)[-1]).all()  # whose numbers are not known: no warning
     # Also where the iteration is only too slow: every number that is returned is that of the converged stages.
     scales = 2.0 ** np.arange(0.0, 8.0, 0.25)
     ends = [f(scale * X0)[-1] for scale in scales]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.errors import IntegrationError, LargeStepWarning, unknown_name
+from coadjoint.long_operations import warn_caller
 from coadjoint.program.generators import group_side
 from coadjoint.runs.derivatives.backward import gradient_of, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
@@ -159,6 +160,21 @@ class ParametrizedRun:
         except IntegrationError:
             return
         warn_of_large_step(solution, run.in_one_thread())
+
+    def warn_of_nan(self, x: Floats | None) -> None:
+        """Warn of the first state of a run elsewhere that is NaN; None is a run that is traced."""
+        if x is None or not np.isnan(x).any():
+            return
+        single = x.ndim == 1 + len(self._prepared.system.shape)
+        wrong = np.isnan(x).reshape(len(x), 1 if single else x.shape[1], -1).any(axis=-1)
+        k, m = np.argwhere(wrong)[0].tolist()
+        count = int(wrong.any(axis=0).sum())
+        of_members = "" if single else f" of member {m}" if count == 1 else f" of {count} members, first of member {m},"
+        warn_caller(
+            f"states{of_members} are NaN from t = {self.saved_times[k]:g} on: iterations or a series of a step before "
+            "it do not converge, or a function is not finite; take a smaller step",
+            LargeStepWarning,
+        )
 
     @property
     def has_batch(self) -> bool:

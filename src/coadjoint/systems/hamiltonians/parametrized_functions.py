@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,11 +18,19 @@ NAME = "params"
 """The argument of a run with the parameters of its energy and forces."""
 
 
-class Trees(ABC):
-    """Parameters as trees of arrays of a library: `module` has its functions of trees, with paths."""
+class ArrayLibrary(ABC):
+    """A library of arrays, JAX or PyTorch: `module` has its functions of trees of parameters, with paths.
+
+    `xp` has its functions that are called as those of NumPy, `vjp` and `jvp` are its derivatives.
+    """
 
     library: str
     module: Any
+    xp: Any
+    float64_hint: str
+    vjp: Callable[..., Any]
+    jvp: Callable[..., Any]
+    expm: Callable[..., Any]
 
     @abstractmethod
     def array(self, name: str, value: Any, owner: str) -> Any:
@@ -54,13 +62,54 @@ class Trees(ABC):
     def name(self, path: Any) -> str:
         return NAME + str(self.module.keystr(path))
 
+    @abstractmethod
+    def numbers(self, value: Any) -> Any:
+        """Return numbers as an array of float64."""
+
+    @abstractmethod
+    def result(self, value: Any) -> Any:
+        """Return what a function returned as an array, of its type."""
+
+    @abstractmethod
+    def set_at(self, x: Any, places: Any, values: Any) -> Any:
+        """Return x with other values at places."""
+
+    @abstractmethod
+    def add_at(self, x: Any, places: Any, values: Any) -> Any:
+        """Return x with values added at places, which may be repeated."""
+
+    @abstractmethod
+    def product(self, A: Any, B: Any) -> Any:
+        """Return A B in full precision."""
+
+    @abstractmethod
+    def iterate(self, body: Callable[..., Any], carry: Any, rows: Sequence[Any]) -> Any:
+        """Return ``body(carry, *row)``, applied for all rows of some arrays in turn."""
+
+    @abstractmethod
+    def fixed_point(self, prepare: Callable[..., Any], first: Any, *arguments: Any) -> Any:
+        """Return z = prepare(*arguments)(z), a vector of the size of a first guess, with its derivatives."""
+
+    @abstractmethod
+    def normal_deviates(self, seed: int, stream: Any, moments: Any, part: int, count: int) -> Any:
+        """Return deviates as `systems.forces.base.normal_deviates`, (count,) or (moments, count)."""
+
+    @abstractmethod
+    def type_of(self, function: Callable[..., Any], params: Any, n: int) -> tuple[tuple[int, ...], str]:
+        """Return shape and type of the values of a function of params, a state (n,), and the time."""
+
+    @abstractmethod
+    def in_numpy(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of arrays of the library as one of arrays of NumPy."""
+
 
 class ParametrizedFunction:
     """The function of x, or of (x, t), at the params given, which are arrays of float64; `symbol` names it."""
 
     caller: ClassVar[str]
     symbol: ClassVar[str]
-    trees: ClassVar[Trees]
+    what: ClassVar[str] = "the energy"
+    trees: ClassVar[ArrayLibrary]
     counts: tuple[int, ...] = (2, 3)
     taken = "(x, params) or (x, params, t)"
 
@@ -170,16 +219,16 @@ def function_of(term: Any, kind: type[Any]) -> tuple[Any, float]:
     return function, math.prod(float(one.factor) for one in (*inner, *outer))
 
 
-def function_with_params(system: Any, kind: type[Any]) -> Any:
-    """Return the energy or the function of a force of a system that has params, or None; all must have the same."""
+def function_with_params(system: Any, kind: type[Any], trees: ArrayLibrary) -> Any:
+    """Return the energy or the function of a force of a system with params of a library, or None; all have the same."""
     functions = [function_of(term, kind)[0] for one in system.distinct for term in one.unforced.hamiltonian.terms()]
     functions += [getattr(force, "learned", None) for one in system.distinct for force in one.forces]
-    found = [one for one in functions if isinstance(one, ParametrizedFunction)]
+    found = [one for one in functions if isinstance(one, ParametrizedFunction) and one.trees is trees]
     if not found:
         return None
     first = found[0]
     for one in found[1:]:
-        if one.trees is not first.trees or not first.trees.are_same(first.params, one.params):
+        if not trees.are_same(first.params, one.params):
             raise TypeError(
                 f"{system.name} has energies and forces of different params, of {first.caller} and {one.caller}; give "
                 "all parameters of the run to each of them, in one tree"

@@ -6,33 +6,26 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, in_one_line
-from coadjoint.jax.energies import TREES
-from coadjoint.jax.stage_steps import StageField, midpoint_on_orbit
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.orbit_flow import exponential, midpoint
 from coadjoint.systems.forces.torque import StateTorque, is_on_bodies, places_of_torques, shapes_on
 from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedFunction
-from coadjoint.systems.hamiltonians.user_hamiltonian import X64
 
 
 class ParametrizedTorque(ParametrizedFunction):
     """A torque N(x), or N(x, t), with params."""
 
-    trees = TREES
-    caller, symbol, what = "co.jax.torque", "N", "the torque"
+    symbol, what = "N", "the torque"
 
 
 class ParametrizedRoot(ParametrizedFunction):
     """A root L(x), or L(x, t), of a metric L L^T, with params."""
 
-    trees = TREES
-    caller, symbol, what = "co.jax.double_bracket", "L", "the root of the metric"
+    symbol, what = "L", "the root of the metric"
 
 
 class LearnedFunction:
@@ -41,28 +34,32 @@ class LearnedFunction:
     called_in_python: ClassVar[bool] = True
 
     def __init__(self, learned: ParametrizedTorque | ParametrizedRoot, system: Any) -> None:
-        self.learned, self.system = learned, system
+        self.learned, self.system, self.library = learned, system, learned.trees
         self.timed = len(learned.__signature__.parameters) > 1
 
     def raw(self, params: Any, x: Any, t: Any) -> Any:
         """Return what the function returns."""
-        return jnp.asarray(self.learned.at(params, x, *((t,) if self.timed else ())))
+        time = (self.library.numbers(t),) if self.timed else ()
+        return self.library.result(self.learned.at(params, x, *time))
 
     def at(self, params: Any, x: Any, t: Any) -> Any:
         """Return the values, of torques on bodies as those of the state."""
         value = self.raw(params, x, t)
-        if not is_on_bodies(value.shape, self.system):
+        if not is_on_bodies(tuple(value.shape), self.system):
             return value
-        return jnp.zeros_like(x).at[places_of_torques(self.system)].set(value)
+        return self.library.set_at(self.library.xp.zeros_like(x), places_of_torques(self.system), value)
 
     @cached_property
     def _compiled(self) -> Callable[..., Any]:
-        return jax.jit(lambda x, t: self.at(self.learned.params, x, t))
+        return self.library.in_numpy(lambda x, t: self.at(self.learned.params, x, t))
 
     def __call__(self, x: Any, t: float) -> NDArray[np.float64]:
         y = np.asarray(x)
         if y.dtype != np.float64:
-            raise TypeError(f"a function of JAX is given numbers of {y.dtype}; its derivatives are of float64 only")
+            raise TypeError(
+                f"a function of {self.library.library} is given numbers of {y.dtype}; its derivatives are of float64 "
+                "only"
+            )
         return np.asarray(self._compiled(y, t))
 
     def law(self) -> LearnedLaw:
@@ -70,20 +67,20 @@ class LearnedFunction:
         return LearnedLaw(self)
 
     def shape(self) -> tuple[int, ...]:
-        """Return the shape that the function returns; raise TypeError if JAX cannot trace it, or it is of float32."""
+        """Return the shape that the function returns; raise TypeError if it fails, or is not of float64."""
         learned, system = self.learned, self.system
         if system.has_matrices or not system.has_structure_constants:
             raise TypeError(f"{learned.caller} acts on systems of vectors on a Lie algebra, not on {system.name}")
         try:
-            found = jax.eval_shape(self.raw, learned.params, np.zeros(system.dim), 0.0)
+            shape, kind = self.library.type_of(self.raw, learned.params, system.dim)
         except Exception as reason:
             raise TypeError(
-                f"JAX cannot trace {learned.what} on states of {system.dim} numbers ({type(reason).__name__}: "
-                f"{in_one_line(str(reason), 160)}); compute with jax.numpy only"
+                f"{self.library.library} cannot trace {learned.what} on states of {system.dim} numbers "
+                f"({type(reason).__name__}: {in_one_line(str(reason), 160)}); compute with its functions only"
             ) from reason
-        if found.dtype != np.float64:
-            raise TypeError(f"{learned.what} returns numbers of {found.dtype}, not of float64{X64}")
-        return tuple(found.shape)
+        if kind != "float64":
+            raise TypeError(f"{learned.what} returns numbers of {kind}, not of float64{self.library.float64_hint}")
+        return shape
 
 
 class LearnedLaw:
@@ -102,17 +99,15 @@ class LearnedLaw:
     def derivatives(self, moving: Sequence[int]) -> list[Callable[..., Any]]:
         """Return the transposed derivative of (x, w), and the derivative of (x, v)."""
         torque = self._torque
-
-        def at(t: Any) -> Callable[..., Any]:
-            return lambda x: torque.at(torque.learned.params, x, t)
+        library, params = torque.library, torque.learned.params
 
         def pulled(x: Any, w: Any, t: Any) -> Any:
-            return jax.vjp(at(t), x)[1](w)[0]
+            return library.vjp(lambda x: torque.at(params, x, t), x)[1](w)[0]
 
         def pushed(x: Any, v: Any, t: Any) -> Any:
-            return jax.jvp(at(t), (x,), (v,))[1]
+            return library.jvp(lambda x: torque.at(params, x, t), (x,), (v,))[1]
 
-        return [LearnedDerivative(jax.jit(one), torque.system.dim) for one in (pulled, pushed)]
+        return [LearnedDerivative(library.in_numpy(one), torque.system.dim) for one in (pulled, pushed)]
 
 
 class LearnedDerivative:
@@ -127,14 +122,14 @@ class LearnedDerivative:
         return np.asarray(self._function(y[: self._n], y[self._n :], t))
 
 
-class JaxTorque(StateTorque):
+class LearnedTorque(StateTorque):
     """The torque x' = N(x, params), or N(x, params, t), in the coordinates of the state or on bodies."""
 
     called_in_python: ClassVar[bool] = True
     uses_energy: ClassVar[bool] = False
 
-    def __init__(self, function: Callable[..., Any], params: Any) -> None:
-        self.learned = ParametrizedTorque(function, params)
+    def __init__(self, learned: ParametrizedTorque) -> None:
+        self.learned = learned
 
     def check(self, system: Any) -> None:
         shape = LearnedFunction(self.learned, system).shape()
@@ -145,14 +140,14 @@ class JaxTorque(StateTorque):
         return LearnedFunction(self.learned, system), "x, t"
 
 
-class JaxDoubleBracket(Force):
+class LearnedDoubleBracket(Force):
     """Damping on the orbit, x' = J(x) L L^T J(x) grad H, with a root L(x, params) or L(x, params, t)."""
 
     called_in_python: ClassVar[bool] = True
     casimirs: ClassVar[bool] = True
 
-    def __init__(self, function: Callable[..., Any], params: Any) -> None:
-        self.learned = ParametrizedRoot(function, params)
+    def __init__(self, learned: ParametrizedRoot) -> None:
+        self.learned = learned
 
     def check(self, system: Any) -> None:
         shape, n = LearnedFunction(self.learned, system).shape(), system.dim
@@ -173,41 +168,31 @@ class JaxDoubleBracket(Force):
 
 
 class LearnedFlow:
-    """The midpoint rule of a damping on the orbit: in NumPy at the params of the force, or of JAX."""
+    """The midpoint rule of a damping on the orbit: in NumPy at the params of the force, or of a library of arrays."""
 
     called_in_python: ClassVar[bool] = True
 
-    def __init__(self, force: JaxDoubleBracket, system: Any) -> None:
-        self.root, self.system = LearnedFunction(force.learned, system), system
+    def __init__(self, force: LearnedDoubleBracket, system: Any) -> None:
+        self.root, self.system, self._caller = LearnedFunction(force.learned, system), system, force.learned.caller
 
     def direction(self, x: Any, t: Any) -> Any:
         """Return L L^T f, with the Hamiltonian part f of x'."""
         return _metric_times(self.root(x, t), self.system.vector_field(x, t))
 
+    def direction_at(self, field: Any, numbers: Any, x: Any, t: Any) -> Any:
+        """Return it for numbers of the energy with params, in arrays of the library."""
+        return _metric_times(self.root.raw(numbers.params, x, t), field.at(numbers, x, t))
+
     def __call__(self, x: Any, t: Any, tau: Any) -> NDArray[Any]:
         found = midpoint(self.system, lambda y: tau * self.direction(y, t + 0.5 * tau), x)
         if found.direction is None:
             raise IntegrationError(
-                "the midpoint rule of co.jax.double_bracket did not converge; take a smaller step",
+                f"the midpoint rule of {self._caller} did not converge; take a smaller step",
                 step=1,
                 time=float(t),
                 residual=found.residual,
             )
         return exponential(self.system, found.direction, x)
-
-    def on_jax(self, field: StageField) -> Callable[..., Any]:
-        """Return the flow of the numbers of the energy with params, state, time, duration and member."""
-
-        def flow(numbers: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
-            time = t + 0.5 * tau
-
-            def direction(middle: Any) -> Any:
-                root = self.root.raw(numbers.params, middle, time)
-                return tau * _metric_times(root, field.at(numbers, middle, time))
-
-            return midpoint_on_orbit(field, direction, x)
-
-        return flow
 
 
 def _metric_times(root: Any, f: Any) -> Any:
