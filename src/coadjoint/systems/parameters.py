@@ -253,12 +253,14 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
         return with_force_values(system, with_parameters(system.unforced, rest) if rest else system.unforced, of_forces)
     constants = {name: float(value) for name, value in values.items() if name in (system._constants or {})}
     if constants:
-        system = system._with_constants(constants)
+        original, system = system, system._with_constants(constants)
         values = {name: value for name, value in values.items() if name not in constants}
         if not values:
             return system
-        if "M" in values:
-            raise ValueError(f"M is given with {', '.join(constants)}, which it contains; give other values of one")
+        known, changed = parameters_of(original), parameters_of(system)
+        for name in values:
+            if name == "M" or not np.array_equal(known[name].value, changed[name].value):
+                raise ValueError(f"{name} is given with {', '.join(constants)}, which it contains; give values of one")
     builder = _builder_of(system, values)
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})

@@ -34,6 +34,7 @@ from coadjoint.systems.hamiltonians.separated_function import separated
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.user_functions import without_multiples
 from coadjoint.systems.vanishing_products import field_products, products_without_cancelling
 
 # Number of entries above which the width of squares is checked.
@@ -372,10 +373,11 @@ def separated_terms(system: LiePoissonSystem, term: FunctionTerm) -> tuple[Term,
     cache = _SEPARATED_CACHE.setdefault(system, {})
     if id(term.value) not in cache:
         found: tuple[Term, ...] = ()
-        refused: str | None = None
+        refused: str | None = getattr(without_multiples(term.value)[0], "not_split", None)
         refusal = partial(_not_splittable, system, "a function in it")
         try:
-            found = separated(term, system.dim, partial(first_noncommuting, system.algebra), refusal)
+            if refused is None:
+                found = separated(term, system.dim, partial(first_noncommuting, system.algebra), refusal)
         except NotSplittable as reason:
             refused = str(reason)
         except TracingError as reason:

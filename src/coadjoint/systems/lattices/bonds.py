@@ -20,6 +20,7 @@ Integers = npt.NDArray[np.int64]
 MATRIX_TOLERANCE = 1e-6  # of typed exchange matrices, relative to the largest entry
 MAX_ENTRY = 1e100  # of matrices, as of couplings of spins
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+LETTERS = "ABCDEFGHI"  # of the free entries of a matrix
 AXIAL = ((1, 2), (2, 0), (0, 1))  # entries of the antisymmetric part that are D_x, D_y, D_z
 
 
@@ -58,6 +59,15 @@ class AllowedMatrices:
     def basis(self) -> Floats:
         """Basis of the allowed matrices."""
         return np.concatenate([self._reduced(SYMMETRIC, 1.0), self._reduced(AXIAL, -1.0)])
+
+    def _entries(self, J: Floats) -> dict[str, float]:
+        """Return the coefficients A, B, ... of an allowed matrix in the basis, each an entry of its form."""
+        found = {}
+        for letter, matrix in zip(LETTERS, self.basis, strict=False):
+            even = np.array_equal(matrix, matrix.T)
+            a, b = next(entry for entry in (SYMMETRIC if even else AXIAL) if matrix[entry])
+            found[letter] = float(0.5 * (J[a, b] + J[b, a] if even else J[a, b] - J[b, a]))
+        return found
 
     def _projected(self, J: Floats) -> Floats:
         """Return the nearest allowed matrix, the mean over the operations that keep the representative."""
@@ -334,7 +344,7 @@ def _combination(coefficients: Floats) -> str:
     for place, value in enumerate(coefficients.tolist()):
         if abs(value) > 1e-9:
             size = "" if abs(abs(value) - 1.0) < 1e-9 else f"{abs(value):.6g}"
-            text += ("-" if value < 0 else "+" if text else "") + size + chr(ord("A") + place)
+            text += ("-" if value < 0 else "+" if text else "") + size + LETTERS[place]
     return text or "0"
 
 

@@ -18,7 +18,7 @@ from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, AllowedMatrices, 
 from coadjoint.systems.lattices.couplings import driving_field
 from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Coupling, Declaration, check_sizes
 from coadjoint.systems.lattices.space_groups import product
-from coadjoint.systems.lattices.spin_constants import constants_of
+from coadjoint.systems.lattices.spin_constants import constants_of, read_name
 from coadjoint.systems.lattices.spin_lattice import axes_orthogonal_to
 from coadjoint.systems.lattices.spin_model import SpinModel
 from coadjoint.systems.lattices.spin_operators import (
@@ -268,7 +268,7 @@ class CoherentSpinModel(SpinModel):
         """
         return self._with_pairs("pair_coupling", bond, operator)
 
-    def biquadratic(self, bond: Bond, K: float) -> Self:
+    def biquadratic(self, bond: Bond, K: float, *, name: str | None = None) -> Self:
         """Return the model with the energy ``K (S_i . S_j)^2`` of operators on a bond and all equivalent ones.
 
         It acts on quadrupoles, and is ``K S^4`` in parallel coherent states, ``K (S^4 + S^2)`` in antiparallel ones.
@@ -279,6 +279,8 @@ class CoherentSpinModel(SpinModel):
             One of ``crystal.bonds(max_distance)``.
         K : float
             Energy.
+        name : str, optional
+            As for `SpinModel.biquadratic`.
 
         Returns
         -------
@@ -301,17 +303,25 @@ class CoherentSpinModel(SpinModel):
         strength = read_number(K, "K")
         check_sizes(np.array(strength), "K")
         scalar = np.sum([np.kron(S, S) for S in operators(0.5 * (self.levels - 1))], axis=0)
-        return self._with_pairs("biquadratic", bond, strength * product(scalar, scalar), {"K": strength})
+        known, symbol = read_name(name, f"biquadratic {bond.name}", "K")
+        operator, text = strength * product(scalar, scalar), f"{symbol} = {strength!r}"
+        return self._with_pairs("biquadratic", bond, operator, text, {"": strength}, known)
 
-    def _with_pairs(self, what: str, bond: Bond, operator: Any, constants: Mapping[str, float] | None = None) -> Self:
+    def _with_pairs(
+        self,
+        what: str,
+        bond: Bond,
+        operator: Any,
+        text: str = "",
+        constants: Mapping[str, float] | None = None,
+        name: str = "",
+    ) -> Self:
         self._check_bond(bond, what)
         given = pair_coefficients_of(self._operator(operator, f"the operator of {what}", self.levels**2))
         matrices = self._equivalent(bond, given, f"the operator on bond {bond.name}")
-        check_sizes(matrices, "the coupling")
         bonds = np.column_stack([bond.sites, bond.offsets])
-        text = f"K = {constants['K']!r}" if constants else operator_text(given)
-        added = Coupling(what, bond.name, bonds, matrices, text, bond, constants)
-        return self._with(couplings=(*self._declared.couplings, added))
+        text = text or operator_text(given)
+        return self._with_coupling(Coupling(what, bond.name, bonds, matrices, text, bond, constants, name))
 
     def _equivalent(self, kind: AllowedMatrices, given: Floats, what: str, checked: bool = True) -> Floats:
         """Return coefficients of operators at all equivalent places, (n, 1) of sites or (n, n) of bonds."""

@@ -49,8 +49,8 @@ UNITS = {
 class Coupling(NamedTuple):
     """Matrices of bonds of a cell, that act on states; `bonds` (k, 5) are sites and offsets.
 
-    States are unit vectors, or the unit and expectations of the operators of a site. `given` are constants by key, K or
-    Stevens coefficients, of the bond or site `source`.
+    States are unit vectors, or the unit and expectations of the operators of a site. `given` are constants of the bond
+    `source`, by what follows `name` in their names: nothing for a number, A, B, ... for the entries of a matrix.
     """
 
     what: str
@@ -60,6 +60,7 @@ class Coupling(NamedTuple):
     text: str
     source: Any = None
     given: Mapping[str, float] | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,6 +120,7 @@ class Biquadratic(NamedTuple):
     text: str
     source: Any
     given: Mapping[str, float]
+    name: str
 
 
 class Substitution(NamedTuple):

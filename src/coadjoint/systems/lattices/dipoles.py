@@ -77,6 +77,10 @@ class DipolarFunction:
     tensors: npt.NDArray[np.complex128] = field(repr=False)
 
     called_in_python: ClassVar[bool] = True
+    not_split: ClassVar[str] = (
+        "its dipoles couple every spin to all others, in fields that FFTs compute for all at once; take "
+        "GaussLegendre(1), which conserves the energy, or SphericalMidpoint, which is a Poisson map"
+    )
 
     @property
     def __name__(self) -> str:

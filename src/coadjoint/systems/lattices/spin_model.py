@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, forces_text, read_seed
-from coadjoint.systems.lattices.bonds import Bond, Site, antisymmetric
+from coadjoint.systems.lattices.bonds import LETTERS, Bond, Site, antisymmetric
 from coadjoint.systems.lattices.crystals import Crystal, check_bond, label_of
 from coadjoint.systems.lattices.declared_spins import (
     UNITS,
@@ -25,7 +25,7 @@ from coadjoint.systems.lattices.declared_spins import (
     check_sizes,
 )
 from coadjoint.systems.lattices.space_groups import product
-from coadjoint.systems.lattices.spin_constants import constants_of, with_constants
+from coadjoint.systems.lattices.spin_constants import constants_of, read_name, with_constants
 from coadjoint.systems.lattices.spin_polynomials import not_empty, propagated, read_stevens
 from coadjoint.systems.lattices.spin_terms import system_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -119,7 +119,7 @@ class SpinModel(LiePoissonSystem):
         """Cartesian position of each spin, (sites, 3)."""
         return (self.cells + self.crystal.positions[self.sites]) @ self.crystal.lattice
 
-    def exchange(self, bond: Bond | ExchangeTable, J: Any = None) -> Self:
+    def exchange(self, bond: Bond | ExchangeTable, J: Any = None, *, name: str | None = None) -> Self:
         """Return the model with the energy ``S_i . J S_j`` of a bond and all equivalent ones; each bond counts once.
 
         J > 0 is antiferromagnetic, as for SpinW and Sunny, and opposite to ``exchange=`` of `spin_lattice`.
@@ -133,6 +133,10 @@ class SpinModel(LiePoissonSystem):
             Exchange of the representative in the Cartesian frame of the lattice, an energy for spins of the lengths S:
             the energy of parallel unit vectors is ``J S_i S_j``. Its antisymmetric part is a Dzyaloshinskii-Moriya
             coupling.
+        name : str, optional
+            Name of J as a parameter, by default ``"exchange"`` and the name of the bond. Of a matrix it is followed by
+            A, B, ..., the free entries of ``print(bond)``. Bonds of one name have one J, which derivatives and fits
+            move together.
 
         Returns
         -------
@@ -142,7 +146,7 @@ class SpinModel(LiePoissonSystem):
         ------
         ValueError, TypeError
             A bond of another crystal, or one that has exchange already; a matrix that symmetry forbids, with the
-            allowed form; cells that join two sites twice.
+            allowed form; cells that join two sites twice; a name that has another value, or of another parameter.
 
         Examples
         --------
@@ -153,11 +157,16 @@ class SpinModel(LiePoissonSystem):
         -2.0
         """
         if isinstance(bond, ExchangeTable):
+            if name is not None:
+                raise ValueError(f"name is {short(name)}, and matrices of a file have no names; give exchange(table)")
             return self._with_table(bond, J)
         self._check_bond(bond, "exchange")
-        return self._coupled("exchange", bond, bond.exchange(J), _described(np.asarray(J, dtype=np.float64)))
+        matrices, given = bond.exchange(J), np.asarray(J, dtype=np.float64)
+        constants = bond._entries(matrices[0]) if given.ndim else {"": float(given)}
+        known, symbol = read_name(name, f"exchange {bond.name}", "J")
+        return self._coupled("exchange", bond, matrices, constants, known, _described(given, symbol))
 
-    def dzyaloshinskii_moriya(self, bond: Bond, D: Any) -> Self:
+    def dzyaloshinskii_moriya(self, bond: Bond, D: Any, *, name: str | None = None) -> Self:
         """Return the model with the energy ``D . (S_i x S_j)`` of a bond and all equivalent ones.
 
         Parameters
@@ -166,6 +175,9 @@ class SpinModel(LiePoissonSystem):
             One of ``crystal.bonds(max_distance)``; i is its first site.
         D : (3,) array_like
             The vector of the representative, in the Cartesian frame of the lattice (energy for spins of lengths S).
+        name : str, optional
+            As for `exchange`, by default ``"dzyaloshinskii_moriya"`` and the name of the bond, followed by the letters
+            of the vector in ``print(bond)``.
 
         Returns
         -------
@@ -188,11 +200,14 @@ class SpinModel(LiePoissonSystem):
         vector = read_finite(D, "D")
         if vector.shape != (3,):
             raise ValueError(f"D has shape {vector.shape}; give a vector (3,)")
-        return self._coupled(
-            "dzyaloshinskii_moriya", bond, bond.exchange(antisymmetric(vector)), f"D = {vector.tolist()}"
-        )
+        matrices = bond.exchange(antisymmetric(vector))
+        odd = {key for key, one in zip(LETTERS, bond.basis, strict=False) if not np.array_equal(one, one.T)}
+        constants = {key: value for key, value in bond._entries(matrices[0]).items() if key in odd}
+        known, symbol = read_name(name, f"dzyaloshinskii_moriya {bond.name}", "D")
+        text = f"{symbol} = {vector.tolist()}"
+        return self._coupled("dzyaloshinskii_moriya", bond, matrices, constants, known, text)
 
-    def biquadratic(self, bond: Bond, K: float) -> Self:
+    def biquadratic(self, bond: Bond, K: float, *, name: str | None = None) -> Self:
         """Return the model with the energy ``K (S_i . S_j)^2`` of a bond and all equivalent ones.
 
         It is that of classical spins of the lengths S, as of Sunny's mode `:dipole_uncorrected`. In operators of
@@ -204,6 +219,8 @@ class SpinModel(LiePoissonSystem):
             One of ``crystal.bonds(max_distance)``.
         K : float
             An energy for spins of lengths S: K < 0 prefers parallel and antiparallel spins, K > 0 perpendicular ones.
+        name : str, optional
+            Name of K as a parameter, as for `exchange`; by default ``"biquadratic"`` and the name of the bond.
 
         Returns
         -------
@@ -227,7 +244,9 @@ class SpinModel(LiePoissonSystem):
         strengths = value * np.prod(lengths**2, axis=1)
         check_sizes(strengths, "the biquadratic coupling")
         bonds = np.column_stack([bond.sites, bond.offsets])
-        added = Biquadratic("biquadratic", bond.name, bonds, strengths, f"K = {value!r}", bond, {"K": value})
+        known, symbol = read_name(name, f"biquadratic {bond.name}", "K")
+        text = f"{symbol} = {value!r}"
+        added = Biquadratic("biquadratic", bond.name, bonds, strengths, text, bond, {"": value}, known)
         return self._with(biquadratics=(*self._declared.biquadratics, added))
 
     def single_ion(self, site: str | int, matrix: Any) -> Self:
@@ -535,13 +554,16 @@ class SpinModel(LiePoissonSystem):
         if any((one.what, one.bond) == (what, bond.name) for one in given):
             raise ValueError(f"bond {bond.name} has {what} in this model; give the sum of both once")
 
-    def _coupled(self, what: str, bond: Bond, matrices: Floats, text: str) -> Self:
+    def _coupled(
+        self, what: str, bond: Bond, matrices: Floats, constants: Mapping[str, float], name: str, text: str
+    ) -> Self:
         listed = next((one.bonds for one in self._declared.couplings if one.bond == "file"), np.zeros((0, 5)))
         key = (bond.first, bond.second, *bond.offset)
         if what == "exchange" and {key, (key[1], key[0], *(-n for n in key[2:]))} & set(map(tuple, listed.tolist())):
             raise ValueError(f"bond {bond.name} is in the file of this model; give it once")
         matrices = self._for_states(matrices, bond.sites)
-        return self._with_coupling(what, bond.name, np.column_stack([bond.sites, bond.offsets]), matrices, text)
+        bonds = np.column_stack([bond.sites, bond.offsets])
+        return self._with_coupling(Coupling(what, bond.name, bonds, matrices, text, bond, constants, name))
 
     def _for_states(self, matrices: Floats, sites: Integers, of_directions: bool = False) -> Floats:
         """Return the matrices of bonds that act on states, from those that act on spins, or on directions."""
@@ -561,13 +583,12 @@ class SpinModel(LiePoissonSystem):
             raise ValueError("the model has exchange; add a table first, and bonds that it does not have afterwards")
         matrices = self._for_states(table.matrices, table.sites, table.of_directions)
         bonds = np.column_stack([table.sites, table.offsets])
-        return self._with_coupling(
-            "exchange", "file", bonds, matrices, f"{len(bonds)} matrices of {short(table.source)}"
-        )
+        text = f"{len(bonds)} matrices of {short(table.source)}"
+        return self._with_coupling(Coupling("exchange", "file", bonds, matrices, text))
 
-    def _with_coupling(self, what: str, bond: str, bonds: Integers, matrices: Floats, text: str) -> Self:
-        check_sizes(matrices, "the coupling")
-        return self._with(couplings=(*self._declared.couplings, Coupling(what, bond, bonds, matrices, text)))
+    def _with_coupling(self, added: Coupling) -> Self:
+        check_sizes(added.matrices, "the coupling")
+        return self._with(couplings=(*self._declared.couplings, added))
 
     def _text(self) -> str:
         names = [f"{one.what} on {one.bond}" for one in self._declared.couplings]
@@ -622,8 +643,8 @@ def _symmetric(matrices: Floats) -> Floats:
     return np.asarray(0.5 * (matrices + matrices.swapaxes(1, 2)))
 
 
-def _described(J: Floats) -> str:
+def _described(J: Floats, symbol: str) -> str:
     """Return an exchange matrix as text, with the order that its isotropic part prefers."""
     value = float(J if J.ndim == 0 else J.trace() / 3.0)
     sense = "antiferromagnetic" if value > 0.0 else "ferromagnetic" if value < 0.0 else "anisotropic"
-    return f"J = {J.tolist()} ({sense})"
+    return f"{symbol} = {J.tolist()} ({sense})"

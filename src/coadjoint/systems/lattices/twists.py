@@ -23,6 +23,7 @@ class Twist(NamedTuple):
 
     angles: tuple[float, float, float]
     axis: tuple[float, float, float]
+    checked: bool = True  # whether terms that turns change are refused
 
     @classmethod
     def of(cls, angles: Any, axis: Any, periodic: tuple[bool, ...]) -> Twist | None:
@@ -76,7 +77,7 @@ class Twist(NamedTuple):
         self._refuse(np.abs(across).max(), np.abs(B).max(), "the field")
 
     def _refuse(self, change: float, size: float, what: str) -> None:
-        if change > TOLERANCE * size:
+        if self.checked and change > TOLERANCE * size:
             raise ValueError(
                 f"{what} changes in rotations about the axis {[round(a, 6) for a in self.axis]} of the twist; give "
                 "terms that do not, or no twist"
