@@ -22,7 +22,7 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
     "Python files": 532,  # spins of SU(N), scattering, loops and barriers, files of simulators, PyTorch: a file each
-    "Python lines": 123_500,  # the same: what users of SpinW, Sunny, mumax3 and of learned forces look for
+    "Python lines": 124_500,  # the same: what users of SpinW, Sunny, mumax3, planets and of learned forces look for
     "longest file": 700,
     "isinstance": 640,  # values of files of others, energies and params of users
     "calls by text": 10,  # `sol.to_ovf` writes files
