@@ -71,6 +71,16 @@ def test_cells_in_space(periodic, size, sites):
 
 
 @pytest.mark.skipif(not CRYSTALS, reason="gemmi is not installed")
+@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize(("size", "sites"), [((1, 1, 64), 1), ((72, 1, 1), 2), ((3, 1, 80), 1), ((1, 104, 1), 1)])
+def test_few_long_rows(periodic, size, sites):
+    """Lengths that are multiples of eight, whose transforms have eight parts."""
+    model = on_cells(size, periodic, sites)
+    check_against_sums(model)
+    check_against_sums(model.vacancies(0.3, seed=2))
+
+
+@pytest.mark.skipif(not CRYSTALS, reason="gemmi is not installed")
 @pytest.mark.parametrize("periodic", [True, FILM, False])
 def test_vacancies_and_substituted_ions(periodic):
     model = on_cells((4, 3, 5), periodic, 2)

@@ -3,6 +3,7 @@
 // Axis c is transformed first: two real rows are a complex one, and eight of these are lanes. From then on waves of c are
 // lanes, of which the first half is enough; axes b and a follow. Where an axis is open, rows beyond its cells are zero and
 // not transformed. The third transform, the product with the tensors, and its inverse are done line by line in the cache.
+// Of few rows, such as those of a chain, lanes are eight subsequences of a row in place of eight rows.
 #include <memory>
 
 #include "boundary/interrupts.hpp"
@@ -15,6 +16,7 @@ namespace {
 typedef ComplexNumber<Eight> Waves;
 constexpr int64_t WORK_OF_A_WAVE = 64;  // multiplications for the vectors of a site
 constexpr int64_t LANES = SIDE_BY_SIDE, ROWS = 2 * LANES;  // rows that are transformed together
+constexpr int64_t FEW_ROWS = 6, LEAST_ROW = 64;  // three transforms of a row alone take less than one of sixteen rows
 
 struct Shape {
     int64_t cells[3], lengths[3], fields;  // axes a, b and c
@@ -28,25 +30,7 @@ struct Shape {
     }
     int64_t groups() const { return lengths[2] / 2 / LANES + 1; }  // of waves of c
     int64_t rows() const { return (cells[1] * fields + ROWS - 1) / ROWS * ROWS; }
-};
-
-// The transforms of one thread. `slab` holds the rows of one a, (b, field), by groups of waves of c; `lines` and `spare`
-// those of a for every field, `products` one wave of each.
-struct LineTransforms {
-    const Shape shape;
-    Fourier<Eight> a, b, c;
-    AlignedArray<Waves> slab, lines, spare, products;
-    std::vector<Waves*> transformed;
-
-    explicit LineTransforms(const Shape& shape)
-        : LineTransforms(shape, Fourier<Eight>(shape.lengths[0]), Fourier<Eight>(shape.lengths[1]),
-                         Fourier<Eight>(shape.lengths[2])) {}
-    LineTransforms(const LineTransforms& other) : LineTransforms(other.shape, other.a, other.b, other.c) {}
-
-  private:
-    LineTransforms(const Shape& shape, const Fourier<Eight>& a, const Fourier<Eight>& b, const Fourier<Eight>& c)
-        : shape(shape), a(a), b(b), c(c), slab(shape.rows() * shape.groups()), lines(shape.fields * shape.lengths[0]),
-          spare(shape.fields * shape.lengths[0]), products(shape.fields), transformed(shape.fields) {}
+    bool alone() const { return cells[1] * fields <= FEW_ROWS && lengths[2] >= LEAST_ROW && lengths[2] % LANES == 0; }
 };
 
 // Eight lanes of eight numbers, as eight numbers of eight lanes; the next number is `stride` doubles behind.
@@ -76,6 +60,102 @@ INLINE void transpose(const Waves* from, int64_t from_stride, Waves* to, int64_t
     for (int64_t part = 0; part < ROWS; part += LANES)
         transpose_numbers(numbers_of(*from) + part, ROWS * from_stride, numbers_of(*to) + part, ROWS * stride);
 }
+
+// The transform of one complex row of a multiple n of eight numbers: lanes are those of every eighth number, whose
+// transforms are joined by eight terms each.
+struct RowTransform {
+    const int64_t n, part;
+    Fourier<Eight> subsequences;
+    AlignedArray<Waves> roots;
+    AlignedArray<double> re, im;  // the numbers, and after the transform its result
+
+    explicit RowTransform(int64_t n)
+        : n(n), part(n / LANES), subsequences(std::max<int64_t>(part, 1)), roots(part), re(n), im(n) {
+        const auto all = roots_of_unity(std::max<int64_t>(n, 1));
+        for (int64_t k = 0; k < part; ++k)
+            for (int64_t lane = 0; lane < LANES; ++lane) {
+                const ComplexNumber<double>& root = all[lane * k % n];
+                numbers_of(roots.at[k])[lane] = root.re;
+                numbers_of(roots.at[k])[LANES + lane] = -root.im;
+            }
+    }
+    RowTransform(const RowTransform& other)
+        : n(other.n), part(other.part), subsequences(other.subsequences), roots(part), re(n), im(n) {
+        std::copy_n(other.roots.at, part, roots.at);
+    }
+
+    void transform() {
+        Waves* x = subsequences.input();
+        for (int64_t k = 0; k < part; ++k) x[k] = {load<Eight>(re.at + k * LANES), load<Eight>(im.at + k * LANES)};
+        x = subsequences.transform(x);
+        for (int64_t first = 0; first < part; first += LANES) {
+            Waves turned[LANES], terms[LANES], sums[LANES];
+            for (int64_t j = 0; j < LANES; ++j) {
+                const Waves &z = x[std::min(first + j, part - 1)], &root = roots.at[std::min(first + j, part - 1)];
+                turned[j] = z.times(root.re, root.im);
+            }
+            transpose(turned, 1, terms, 1);
+            sum_of_eight(terms, sums);
+            const int64_t count = std::min(LANES, part - first);
+            for (int64_t p = 0; p < LANES; ++p) {
+                double *const real = re.at + first + p * part, *const imaginary = im.at + first + p * part;
+                if (count == LANES) {
+                    store(real, sums[p].re);
+                    store(imaginary, sums[p].im);
+                } else {
+                    std::copy_n(numbers_of(sums[p]), count, real);
+                    std::copy_n(numbers_of(sums[p]) + LANES, count, imaginary);
+                }
+            }
+        }
+    }
+
+  private:
+    // x - i y
+    static INLINE Waves turned_back(const Waves& x, const Waves& y) { return {x.re + y.im, x.im - y.re}; }
+    static INLINE void sum_of_four(const Waves& a, const Waves& b, const Waves& c, const Waves& d, Waves* y) {
+        const Waves even = a + c, odd = b + d, e = a - c, o = b - d;
+        y[0] = even + odd;
+        y[1] = turned_back(e, o);
+        y[2] = even - odd;
+        y[3] = {e.re - o.im, e.im + o.re};
+    }
+    static INLINE void sum_of_eight(const Waves* x, Waves* y) {
+        const Eight half(0x1.6a09e667f3bcdp-1);  // the root of 1/2
+        Waves even[4], odd[4];
+        sum_of_four(x[0], x[2], x[4], x[6], even);
+        sum_of_four(x[1], x[3], x[5], x[7], odd);
+        odd[1] = {half * (odd[1].re + odd[1].im), half * (odd[1].im - odd[1].re)};
+        odd[2] = {odd[2].im, -odd[2].re};
+        odd[3] = {half * (odd[3].im - odd[3].re), -(half * (odd[3].re + odd[3].im))};
+        for (int64_t p = 0; p < 4; ++p) {
+            y[p] = even[p] + odd[p];
+            y[p + 4] = even[p] - odd[p];
+        }
+    }
+};
+
+// The transforms of one thread. `slab` holds the rows of one a, (b, field), by groups of waves of c; `lines` and `spare`
+// those of a for every field, `products` one wave of each.
+struct LineTransforms {
+    const Shape shape;
+    Fourier<Eight> a, b, c;
+    RowTransform row;
+    AlignedArray<Waves> slab, lines, spare, products;
+    std::vector<Waves*> transformed;
+
+    explicit LineTransforms(const Shape& shape)
+        : LineTransforms(shape, Fourier<Eight>(shape.lengths[0]), Fourier<Eight>(shape.lengths[1]),
+                         Fourier<Eight>(shape.alone() ? 1 : shape.lengths[2]),
+                         RowTransform(shape.alone() ? shape.lengths[2] : 0)) {}
+    LineTransforms(const LineTransforms& other) : LineTransforms(other.shape, other.a, other.b, other.c, other.row) {}
+
+  private:
+    LineTransforms(const Shape& shape, const Fourier<Eight>& a, const Fourier<Eight>& b, const Fourier<Eight>& c,
+                   const RowTransform& row)
+        : shape(shape), a(a), b(b), c(c), row(row), slab(shape.rows() * shape.groups()), lines(shape.fields * shape.lengths[0]),
+          spare(shape.fields * shape.lengths[0]), products(shape.fields), transformed(shape.fields) {}
+};
 
 class CellTransforms {
   public:
@@ -150,9 +230,64 @@ class CellTransforms {
         }
     }
 
+    // Two real rows are a complex one; the last one may be alone.
+    void forward_alone(const CellConvolution& table, const double* from, int64_t a, LineTransforms& own) {
+        const int64_t n = shape.cells[2], length = shape.lengths[2], rows = shape.cells[1] * shape.fields;
+        double *const re = own.row.re.at, *const im = own.row.im.at;
+        int64_t at[ROWS];
+        find_rows(table, a, 0, at);
+        for (int64_t row = 0; row < rows; row += 2) {
+            const bool both = row + 1 < rows;
+            for (int64_t k = 0; k < n; ++k) {
+                re[k] = from[at[row] + k * table.steps[2]];
+                im[k] = both ? from[at[row + 1] + k * table.steps[2]] : 0.0;
+            }
+            std::fill(re + n, re + length, 0.0);
+            std::fill(im + n, im + length, 0.0);
+            own.row.transform();
+            double* const first = numbers_of(own.slab.at[row * groups]);
+            double* const second = numbers_of(own.slab.at[(row + both) * groups]);
+            for (int64_t g = 0; g < groups; ++g)
+                for (int64_t j = 0; j < LANES; ++j) {
+                    const int64_t k = std::min(g * LANES + j, length / 2), mirrored = k ? length - k : 0, w = g * ROWS + j;
+                    second[w] = im[k] + im[mirrored];
+                    second[w + LANES] = re[mirrored] - re[k];
+                    first[w] = re[k] + re[mirrored];
+                    first[w + LANES] = im[k] - im[mirrored];
+                }
+        }
+    }
+
+    void backward_alone(const CellConvolution& table, int64_t a, LineTransforms& own, double* to) {
+        const int64_t n = shape.cells[2], length = shape.lengths[2], rows = shape.cells[1] * shape.fields;
+        double *const re = own.row.re.at, *const im = own.row.im.at;
+        int64_t at[ROWS];
+        find_rows(table, a, 0, at);
+        for (int64_t row = 0; row < rows; row += 2) {
+            const bool both = row + 1 < rows;
+            const double* const first = numbers_of(own.slab.at[row * groups]);
+            const double* const second = numbers_of(own.slab.at[(row + both) * groups]);
+            const double part = both ? 1.0 : 0.0;
+            for (int64_t k = 0; 2 * k <= length; ++k) {
+                const int64_t w = k / LANES * ROWS + k % LANES, mirrored = k ? length - k : 0;
+                const double real = part * second[w], imaginary = part * second[w + LANES];
+                re[mirrored] = imaginary - first[w];
+                im[mirrored] = first[w + LANES] + real;
+                re[k] = first[w] + imaginary;
+                im[k] = first[w + LANES] - real;
+            }
+            own.row.transform();
+            for (int64_t k = 0; k < n; ++k) {
+                to[at[row] + k * table.steps[2]] = table.strength * im[k];
+                if (both) to[at[row + 1] + k * table.steps[2]] = table.strength * re[k];
+            }
+        }
+    }
+
     void forward(const CellConvolution& table, const double* from, int64_t a, LineTransforms& own) {
         const int64_t n = shape.cells[2], length = shape.lengths[2], fields = shape.fields;
-        for (int64_t row = 0; row < shape.rows(); row += ROWS) {
+        if (shape.alone()) forward_alone(table, from, a, own);
+        for (int64_t row = 0; row < shape.rows() && !shape.alone(); row += ROWS) {
             int64_t at[ROWS];
             find_rows(table, a, row, at);
             Waves* x = own.c.input();
@@ -249,6 +384,7 @@ class CellTransforms {
         }
         std::fill(own.slab.at + shape.cells[1] * stride, own.slab.at + shape.rows() * groups,
                   Waves{Eight(0.0), Eight(0.0)});
+        if (shape.alone()) return backward_alone(table, a, own, to);
         const Eight strength(table.strength);
         for (int64_t row = 0; row < shape.rows(); row += ROWS) {
             int64_t at[ROWS];
