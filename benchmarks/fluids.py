@@ -92,7 +92,7 @@ def timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 def contenders(system: Any, step: float) -> dict[str, Callable[[np.ndarray, int], np.ndarray]]:
     """Return the solvers by name: from W to W after a number of steps."""
-    ready = co.prepare(system, co.IsospectralGauss(stages=1), step, watch=False, threads=1)
+    ready = co.prepare(system, co.IsospectralGauss(stages=1), step, watch=False, threads=GIVEN.threads)
     found: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
         "coadjoint": lambda W, steps: ready.run(W, (0.0, steps * step), save_every=steps).x[-1]
     }
@@ -153,7 +153,7 @@ def main() -> None:
         print(f"| {n} | {whole:.2f} | {low:.2f} |")
     if len(times) > 1:
         exponent = np.polyfit(np.log(GIVEN.sizes), np.log(times), 1)[0]
-        print(f"\nThe time of a step grows as N^{exponent:.2f}; {GIVEN.threads} BLAS thread(s).")
+        print(f"\nThe time of a step grows as N^{exponent:.2f}; {GIVEN.threads} thread(s).")
 
 
 if __name__ == "__main__":
