@@ -4,11 +4,11 @@ python benchmarks/fluids.py [--sizes N ...] [--steps S] [--rounds R] [--threads 
                             [--xla]
 
 FOLDER holds the package `quflow` (https://github.com/klasmodin/quflow), which also needs h5py, appdirs and ducc0. Both
-take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it, or
-with K = 0 against the compiled run. Each time is the shortest of the rounds, and of the processor for one thread, so
-that other programs change it little. Runs of small matrices are timed over more steps. The products that a step takes
-are counted: those of the states' precision, with the inverse as one and the skew-Hermitian one as its panels, and those
-of the lower precision.
+take the same steps, of the length that quflow recommends, in turns, with T threads: of the run, or of quflow's BLAS.
+Errors are against steps of a sixteenth of it, or with K = 0 against the compiled run. Each time is the shortest of the
+rounds, and of the processor for one thread, so that other programs change it little. Runs of small matrices are timed
+over more steps. The products that a step takes are counted: those of the states' precision, with the inverse as one and
+the skew-Hermitian one as its blocks, and those of the lower precision.
 
 With --xla the steps are also taken by JAX, on its default device; for a graphics processor install its wheels of JAX,
 such as `pip install "coadjoint[jax]" "jax[cuda12]"`, and run
