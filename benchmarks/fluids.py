@@ -4,11 +4,11 @@ python benchmarks/fluids.py [--sizes N ...] [--steps S] [--rounds R] [--threads 
                             [--xla]
 
 FOLDER holds the package `quflow` (https://github.com/klasmodin/quflow), which also needs h5py, appdirs and ducc0. Both
-take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it, or
-with K = 0 against the compiled run. Each time is the shortest of the rounds, and of the processor for one thread, so
-that other programs change it little. Runs of small matrices are timed over more steps. The products that a step takes
-are counted: those of the states' precision, with the inverse as one and the skew-Hermitian one as its panels, and those
-of the lower precision.
+take the same steps, of the length that quflow recommends, in turns, with T threads: of the run, or of quflow's BLAS.
+Errors are against steps of a sixteenth of it, or with K = 0 against the compiled run. Each time is the shortest of the
+rounds, and of the processor for one thread, so that other programs change it little. Runs of small matrices are timed
+over more steps. The products that a step takes are counted: those of the states' precision, with the inverse as one and
+the skew-Hermitian one as its blocks, and those of the lower precision.
 
 With --xla the steps are also taken by JAX, on its default device; for a graphics processor install its wheels of JAX,
 such as `pip install "coadjoint[jax]" "jax[cuda12]"`, and run
@@ -92,7 +92,7 @@ def timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 def contenders(system: Any, step: float) -> dict[str, Callable[[np.ndarray, int], np.ndarray]]:
     """Return the solvers by name: from W to W after a number of steps."""
-    ready = co.prepare(system, co.IsospectralGauss(stages=1), step, watch=False, threads=1)
+    ready = co.prepare(system, co.IsospectralGauss(stages=1), step, watch=False, threads=GIVEN.threads)
     found: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
         "coadjoint": lambda W, steps: ready.run(W, (0.0, steps * step), save_every=steps).x[-1]
     }
@@ -153,7 +153,7 @@ def main() -> None:
         print(f"| {n} | {whole:.2f} | {low:.2f} |")
     if len(times) > 1:
         exponent = np.polyfit(np.log(GIVEN.sizes), np.log(times), 1)[0]
-        print(f"\nThe time of a step grows as N^{exponent:.2f}; {GIVEN.threads} BLAS thread(s).")
+        print(f"\nThe time of a step grows as N^{exponent:.2f}; {GIVEN.threads} thread(s).")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Set
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from functools import cache, lru_cache, partial
 from math import prod
@@ -244,8 +244,8 @@ def loop_over(name: str, tables: CompiledTables, **more: Any) -> CompiledLoop:
     return CompiledLoop(**{**common, **more}, name=name, memory=scheme_memory(name, tables.tables))
 
 
-SINGLE_THREAD_ROWS = 128
-"""Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
+CONCURRENT_ROWS = 128
+"""Above this number of rows, threads share the steps of one member after the other: several need much memory."""
 
 
 def matrix_rows(system: Any) -> int:
@@ -254,19 +254,20 @@ def matrix_rows(system: Any) -> int:
     return 0 if len(shape) == 1 else int(shape[-1])
 
 
+@cache
+def cores() -> int:
+    """Return the number of cores of the machine."""
+    return os.cpu_count() or 1
+
+
 def concurrent_members(rows: int) -> int:
-    """Return the number of members to advance concurrently: 1 for large matrices, which BLAS distributes."""
-    return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
+    """Return the number of members to advance concurrently: 1 for large matrices, whose steps threads share."""
+    return 1 if rows > CONCURRENT_ROWS else cores()
 
 
-@contextmanager
-def limited_blas_threads(rows: int, workers: int) -> Iterator[None]:
-    """Limit BLAS to one thread in the context, for small matrices or several `workers`; not for vectors (`rows` 0)."""
-    if not rows or (rows > SINGLE_THREAD_ROWS and workers == 1):
-        yield
-    else:
-        with _pools().limit(limits=1):
-            yield
+def single_blas_thread(rows: int) -> AbstractContextManager[Any]:
+    """Limit BLAS to one thread in the context: the threads of a run share products; not for vectors (`rows` 0)."""
+    return _pools().limit(limits=1) if rows else nullcontext()
 
 
 @cache

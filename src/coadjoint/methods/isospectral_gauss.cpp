@@ -184,6 +184,9 @@ StepScheme* made(const StepTables& tables) {
 
 }  // namespace
 
+// The part of a skew-Hermitian product of n rows that is computed.
+EXPORT double lower_part_of_product(int64_t n) { return PlaneProducts<double>(0, n).lower_part(); }
+
 // `whole`: the integers that a stream reads, then those that `TableIndex` names.
 EXPORT StepScheme* isospectral_gauss_step(const StepTables& tables, const MemberConstants&) {
     return tables.whole[COMPLEX] ? made<Complex>(tables) : made<double>(tables);

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from ctypes import c_double, c_int64
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
 from coadjoint.keyword_hints import suggest_keywords
@@ -119,14 +120,14 @@ class IsospectralGauss(SubstepMethod):
             # A prediction and each midpoint are an evaluation; the others are slopes, of two products, as are changes
             # of the midpoint at the ends of steps, which follow slopes. A field that is carried takes no inverse.
             carries = factor == 3 and not matrices.independent_layers and matrices.second_stream is None
-            lower = _lower_part(n, 1 if n < 32 else 4 if n < 256 else 8)
+            lower = _lower_part(n)
             inverse, slope, rest = (1, 1, 2) if carries else (factor, factor, factor)
             slopes = evaluations - steps - iterations
             whole = iterations * (inverse + rest * (1.0 + lower))
             return whole, float(2 * slope * slopes + (slope + rest) * min(slopes, steps))
         if skew:
             # An iteration takes for each stage the inverse and its product, and as a step does, two with the state.
-            lower = _lower_part(n, 1 if n < 32 else 4 if n < 256 else 8)
+            lower = _lower_part(n)
             carries = factor == 3 and not matrices.independent_layers and matrices.second_stream is None
             inverse, rest = (1, 2) if carries else (factor, factor)
             stages = self.stages * iterations
@@ -166,10 +167,11 @@ def matrices_of(system: Any) -> MatrixSystem:
     return system
 
 
-def _lower_part(n: int, panels: int) -> float:
-    """Return the part of a product that panels of rows compute, up to the last diagonal entry of each."""
-    ends = [n * p // panels for p in range(panels + 1)]
-    return sum((last - first) * last for first, last in pairwise(ends)) / n**2
+def _lower_part(n: int) -> float:
+    """Return the part of a skew-Hermitian product that blocks compute which have entries on or below the diagonal."""
+    part = kernels().lower_part_of_product
+    part.restype, part.argtypes = c_double, [c_int64]
+    return float(part(n))
 
 
 def _coefficients(stages: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -92,8 +92,8 @@ def integrate(
         are matrices, functions of a matrix.
     threads : int, optional
         Number of threads, first for the members of an ensemble, then inside of members of 1024 coordinates or more,
-        such as lattices of spins. The default is one for each core. For matrices of more than 128 rows it is one,
-        since BLAS uses threads itself.
+        such as lattices of spins or matrices. The default is one for each core, which for matrices of more than 128
+        rows share one member after the other.
     progress : bool
         Show a progress bar.
     events : Event or sequence of Event, optional

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import Extent, NamedArrays, layout_of, limited_blas_threads
+from coadjoint.kernels.loop import Extent, NamedArrays, layout_of, single_blas_thread
 from coadjoint.kernels.tables.compiled import as_structure
 from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.methods.protocol.method import Method
@@ -273,7 +273,7 @@ class PartialSteps:
         starts, steps = times[rows].astype(np.float64), np.where(filled, lengths[rows], 0.0)
         numbers = np.ascontiguousarray(owners[rows], dtype=np.int64)
         schedule = partial_step_schedule(starts, steps, numbers, self._inside)
-        with limited_blas_threads(loops.rows, workers):
+        with single_blas_thread(loops.rows):
             run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops.raised, workers)
         slots = np.empty(len(momenta), dtype=np.int64)
         slots[rows[filled]] = np.flatnonzero(filled)

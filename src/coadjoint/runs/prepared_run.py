@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import concurrent_members, matrix_rows
+from coadjoint.kernels.loop import concurrent_members, cores, matrix_rows
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import read_progress
 from coadjoint.memory import UNCHECKED_BYTES
@@ -147,7 +147,7 @@ class PreparedRun(Immutable):
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
         self.initial_attitude = read_attitude(attitude, self.system)
         self.observe = check_observe({} if observe is None else observe, self.system)
-        self._threads = workers or concurrent_members(matrix_rows(system))
+        self._threads = workers  # None: all cores
         self.cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)
         one_vector = self.inputs is None and not self.observe and self._representations[0] is None
@@ -196,8 +196,8 @@ class PreparedRun(Immutable):
 
     def threads_for(self, members: int) -> tuple[int, int]:
         """Return the threads of a run of so many members, and those that share a member."""
-        workers = min(members, self._threads)
-        return workers, min(self._threads // workers, MAX_THREADS_INSIDE)
+        workers = min(members, self._threads or concurrent_members(matrix_rows(self.system)))
+        return workers, min((self._threads or cores()) // workers, MAX_THREADS_INSIDE)
 
     def in_one_thread(self) -> Self:
         """Return a copy that uses one thread, and whose further loops are its own."""

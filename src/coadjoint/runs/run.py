@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import NamedArrays, limited_blas_threads
+from coadjoint.kernels.loop import NamedArrays, single_blas_thread
 from coadjoint.long_operations import paced, progress_bar
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.loops import Loops
@@ -141,9 +141,8 @@ class Run:
         if order is not None:
             state.arrays = state.arrays.take(order, 0)
         arrays = plan.layout, plan.schedule, self.saved, state.arrays, first, last
-        limited = limited_blas_threads(loops.rows, plan.workers) if loops.rows else nullcontext()
         try:
-            with limited:
+            with single_blas_thread(loops.rows):
                 for member_batches in plan.rounds:
                     self.failed_count += run_in_threads(member_batches, arrays, loops.raised, plan.workers)
         finally:  # the solution so far of an interrupted run has its time, and its members in order

@@ -11,6 +11,7 @@ import scipy.sparse as sparse
 import coadjoint as co
 from guards import FORKS
 from long import long_where
+from served import state_of
 
 SPINS = 2500  # more angles of a part than one thread takes alone
 
@@ -291,6 +292,10 @@ FLUIDS = {
     "torus": (lambda: co.systems.torus_euler(45), co.IsospectralGauss()),
     "torus, two stages": (lambda: co.systems.torus_euler(LARGE_PRIME), co.IsospectralGauss(stages=2)),
     "sphere": (lambda: co.systems.sphere_euler(48), co.IsospectralGauss()),
+    "blocks of products": (lambda: co.systems.sphere_euler(133), co.IsospectralGauss()),
+    "layers": (lambda: co.systems.layered_qg(N=66, gamma=((2.0, -1.0), (-1.0, 1.0))), co.IsospectralGauss()),
+    "two fields": (lambda: co.systems.thermal_qg(N=70), co.IsospectralGauss(stages=2)),
+    "products of general matrices": (lambda: co.systems.sphere_euler(40), co.CommutatorFree()),
     "waves": (lambda: forced_fluid(co.systems.torus_euler(LARGE_PRIME)), co.LineSplitting()),
     "harmonics": (lambda: forced_fluid(co.systems.sphere_euler(80)), co.IsospectralGauss()),
 }
@@ -301,8 +306,7 @@ FLUIDS = {
 def test_fluids_have_the_same_bits(name):
     make, method = FLUIDS[name]
     system = make()
-    fluid = system.unforced
-    W = fluid.random(seed=3, degrees=(2, 9))
+    W = state_of(system.unforced, 3)
     # The first four steps with another number of threads are two of each kind.
     alone, *others = [
         co.integrate(system, W, (1.0, 1.1), 0.02, method, save_every=1, threads=threads) for threads in (1, 2, 3)

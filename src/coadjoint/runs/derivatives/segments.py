@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import limited_blas_threads
+from coadjoint.kernels.loop import CONCURRENT_ROWS, single_blas_thread
 from coadjoint.kernels.tables.compiled import raised_by
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
@@ -104,8 +104,9 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
     name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
     stop, lanes = c_int64(0), limit("MOST_LANES")
     in_python = callable(name) or getattr(structure, "in_python", False)
-    # Flows and steps in Python multiply matrices of the size of the state.
-    with limited_blas_threads(run.size if in_python else 0, workers):
+    # Flows and steps in Python multiply matrices of the size of the state, large ones with the threads of BLAS.
+    few = run.size <= CONCURRENT_ROWS or workers > 1
+    with single_blas_thread(run.size if in_python and few else 0):
         if callable(name):
             for start in range(first, last, lanes):
                 name(structure, run, start, min(start + lanes, last))

@@ -23,7 +23,8 @@ class Cayley {
 
   private:
     // Rows that are swept without splitting, which fit in the first cache; rows are padded to multiples of WIDTH.
-    static constexpr int LEAF = 32, WIDTH = 8;
+    // Products have parts of at least PART columns, which threads share.
+    static constexpr int LEAF = 32, WIDTH = 8, PART = 32;
     const PlaneProducts<T> products;
     const int n;
     PlanesOf<T> made;
@@ -43,15 +44,26 @@ class Cayley {
         add(X, first, second, second, X12, X22, X12);
     }
 
-    // The block at c += that at a times that at b, which may be c too.
+    // The block at c += that at a times that at b, one of which may be c. Its columns are computed in parts, or its rows
+    // if c replaces a: a part does not read what others replace.
     void add(const Planes<T>& X, int rows, int columns, int inner, int64_t a, int64_t b, int64_t c) {
         const Planes<T> product = made.layer();
-        products.multiply_blocks(rows, columns, inner, X, a, X, b, product);
-        for (int64_t j = 0; j < columns; ++j)
-            for (int64_t i = 0; i < rows; ++i) {
-                const int64_t e = c + j * n + i;
-                X.set(e, X.at(e) + product.product(j * rows + i));
+        const bool by_rows = a == c;
+        const Parts parts(by_rows ? rows : columns, std::max(PART, std::max(rows, columns) / 8));
+        share_blocks(parts.count, [&](int64_t first, int64_t last) {
+            for (int p = int(first); p < last; ++p) {
+                const int down = by_rows ? parts.begin(p) : 0, right = by_rows ? 0 : parts.begin(p);
+                const int high = by_rows ? parts.length(p) : rows, wide = by_rows ? columns : parts.length(p);
+                const int64_t own = int64_t(parts.begin(p)) * (by_rows ? columns : rows);
+                const int64_t to = c + down + int64_t(right) * n;
+                products.multiply_blocks(high, wide, inner, X, a + down, X, b + int64_t(right) * n, product, own);
+                for (int j = 0; j < wide; ++j)
+                    for (int i = 0; i < high; ++i) {
+                        const int64_t e = to + int64_t(j) * n + i;
+                        X.set(e, X.at(e) + product.product(own + j * high + i));
+                    }
             }
+        });
     }
 
     // The same for one pivot after the other: with s = 1 / (1 - X_kk), X_ij += X_ik s X_kj, X_ik *= s, X_kj *= s and

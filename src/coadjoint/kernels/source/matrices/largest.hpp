@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdint>
 
+#include "numbers/thread_team.hpp"
+
 namespace coadjoint {
 
 // The largest |value(k)|, k < count, which is called once for each k; NaN if one of them is not finite.
@@ -25,6 +27,22 @@ double largest_of(int64_t count, const Value& value) {
         nan_sum[0] += nan_sum[row];
     }
     return most[0] + nan_sum[0];
+}
+
+// The larger of two results of `largest_of`.
+inline void keep_larger(double& most, double other) { most = (other > most ? other : most) + (other - other); }
+
+// The same on the threads of a team.
+template <class Value>
+double shared_largest(int64_t count, const Value& value) {
+    double most = 0.0;
+    shared_results<double>(
+        count, 1, &most,
+        [&](int64_t first, int64_t last, double* to) {
+            *to = largest_of(last - first, [&](int64_t k) { return value(first + k); });
+        },
+        [](double* to, const double* more) { keep_larger(*to, *more); });
+    return most;
 }
 
 }  // namespace coadjoint

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "matrices/largest.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -13,14 +14,16 @@ constexpr int64_t MOST_ROWS = 14;  // of earlier values from which others are pr
 template <class A, class B>
 double dot(int64_t count, const A* a, const B* b) {
     // Partial sums, in a fixed order on every processor.
-    constexpr int64_t ROWS = 8;
-    double sums[ROWS] = {};
-    int64_t e = 0;
-    for (; e + ROWS <= count; e += ROWS)
-        for (int64_t k = 0; k < ROWS; ++k) sums[k] += double(a[e + k]) * double(b[e + k]);
-    for (; e < count; ++e) sums[0] += double(a[e]) * double(b[e]);
-    for (int64_t k = 1; k < ROWS; ++k) sums[0] += sums[k];
-    return sums[0];
+    return shared_sum<double>(count, [=](int64_t first, int64_t last) {
+        constexpr int64_t ROWS = 8;
+        double sums[ROWS] = {};
+        int64_t e = first;
+        for (; e + ROWS <= last; e += ROWS)
+            for (int64_t k = 0; k < ROWS; ++k) sums[k] += double(a[e + k]) * double(b[e + k]);
+        for (; e < last; ++e) sums[0] += double(a[e]) * double(b[e]);
+        for (int64_t k = 1; k < ROWS; ++k) sums[0] += sums[k];
+        return sums[0];
+    });
 }
 
 // Compute the factors of past(0), past(1), ..., rows of `numbers` values, the last one first, whose sum predicts the next
@@ -63,13 +66,15 @@ int64_t fit_rows(int64_t numbers, int64_t rows, const Past& past, double* factor
 template <class Past>
 void add_rows(int64_t numbers, int64_t count, const Past& past, const double* factor, double* values) {
     constexpr int64_t BLOCK = 2048;
-    for (int64_t begin = 0; begin < numbers; begin += BLOCK) {
-        const int64_t end = std::min(begin + BLOCK, numbers);
-        for (int64_t j = 0; j < count; ++j) {
-            const double *row = past(j), share = factor[j];
-            for (int64_t k = begin; k < end; ++k) values[k] += share * row[k];
+    share(numbers, [&](int64_t first, int64_t last) {
+        for (int64_t begin = first; begin < last; begin += BLOCK) {
+            const int64_t end = std::min(begin + BLOCK, last);
+            for (int64_t j = 0; j < count; ++j) {
+                const double *row = past(j), share = factor[j];
+                for (int64_t k = begin; k < end; ++k) values[k] += share * row[k];
+            }
         }
-    }
+    });
 }
 
 }  // namespace coadjoint

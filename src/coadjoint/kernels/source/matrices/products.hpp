@@ -10,6 +10,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "numbers/thread_team.hpp"
+
 namespace coadjoint {
 
 typedef std::complex<double> Complex;
@@ -34,6 +36,17 @@ inline Complex inverse(const Complex& a) {
     const double size = std::max(std::fabs(a.real()), std::fabs(a.imag())), re = a.real() / size, im = a.imag() / size;
     const double divisor = size * (re * re + im * im);
     return {re / divisor, -im / divisor};
+}
+
+// Call use(row) for the numbers of all rows of a triangle, long and short ones in turns, on the threads of a team.
+template <class Use>
+void each_row_shared(int64_t rows, const Use& use) {
+    share_blocks((rows + 1) / 2, [&](int64_t first, int64_t last) {
+        for (int64_t pair = first; pair < last; ++pair) {
+            use(pair);
+            if (rows - 1 - pair > pair) use(rows - 1 - pair);
+        }
+    });
 }
 
 // Call use(e, f) for the index e of each entry on or below the diagonal, and f of the opposite one; by blocks, which
@@ -72,7 +85,7 @@ struct RealType<std::complex<R>> {
 };
 
 // The entries of a matrix in planes of real numbers: one, or of complex numbers three, the real parts, the imaginary
-// parts, and their sums or differences. Three products of planes of two factors give a complex product ("3M": N. J.
+// parts, and their sums. Three products of planes of two factors give a complex product ("3M": N. J.
 // Higham, SIAM J. Matrix Anal. Appl. 13 (1992) 681), with errors that are small beside the norms of both factors.
 template <class T>
 struct Planes {
@@ -82,9 +95,7 @@ struct Planes {
 
     T at(int64_t e) const { return plane[0][e]; }
     void set(int64_t e, T value) const { plane[0][e] = value; }
-    void set_with_difference(int64_t e, T value) const { plane[0][e] = value; }
     T product(int64_t e) const { return plane[0][e]; }
-    T product_by_adjoint(int64_t e) const { return plane[0][e]; }
 };
 
 template <class R>
@@ -98,19 +109,10 @@ struct Planes<std::complex<R>> {
     void set(int64_t e, const T& value) const {
         plane[0][e] = value.real(), plane[1][e] = value.imag(), plane[2][e] = value.real() + value.imag();
     }
-    // For the left factor of a product by an adjoint.
-    void set_with_difference(int64_t e, const T& value) const {
-        plane[0][e] = value.real(), plane[1][e] = value.imag(), plane[2][e] = value.real() - value.imag();
-    }
     // Of (a + ib)(c + id), from ac, bd and (a + b)(c + d).
     T product(int64_t e) const {
         const R first = plane[0][e], second = plane[1][e];
         return {first - second, plane[2][e] - (first + second)};
-    }
-    // Of (a + ib)(c - id), from ac, bd and (a - b)(c + d).
-    T product_by_adjoint(int64_t e) const {
-        const R first = plane[0][e], second = plane[1][e];
-        return {first + second, (first - second) - plane[2][e]};
     }
 };
 
@@ -136,52 +138,105 @@ class PlanesOf {
     std::vector<Real> numbers;
 };
 
-// Products of planes, by the routine for their real numbers.
+// The parts of a range of `size` numbers: `most`, or a little more or less, and from multiples of a vector.
+struct Parts {
+    int size, width, count;
+    Parts(int size, int most) : size(size) {
+        const int wanted = (size + most - 1) / most;
+        width = ((size + wanted - 1) / wanted + 7) / 8 * 8, count = (size + width - 1) / width;
+    }
+    int begin(int part) const { return part * width; }
+    int end(int part) const { return std::min(size, (part + 1) * width); }
+    int length(int part) const { return end(part) - begin(part); }
+};
+
+// Of the parts of a triangle, the one whose turn it is: long and short ones alternate, so that threads have equal work.
+inline int in_turns(int turn, int count) { return turn % 2 ? count - 1 - turn / 2 : turn / 2; }
+
+// Products of planes, by the routine for their real numbers. Each call computes a block, on one thread of a team: which
+// blocks depends on the size alone, so that their rounding does not depend on the threads.
 template <class T>
 class PlaneProducts {
   public:
     typedef typename Planes<T>::Real Real;
-    PlaneProducts(int64_t gemm, int64_t size) : gemm(reinterpret_cast<Gemm<Real>>(gemm)), n(int(size)) {}
+    PlaneProducts(int64_t gemm, int64_t size)
+        : gemm(reinterpret_cast<Gemm<Real>>(gemm)), n(int(size)), inner(n, uncopied() ? 256 : n),
+          rows(n, uncopied() ? 48 : sizeof(Real) == 8 ? panel() : n),
+          columns(n, uncopied() ? 64 : sizeof(Real) == 8 ? n : panel()),
+          narrow(n, uncopied() ? 16 : std::max(n / (n < 256 ? 4 : 8), 16)) {}
 
     // c = a b, or c += a b.
     void multiply(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool add = false) const {
-        for (int k = 0; k < Planes<T>::COUNT; ++k) panel(a.plane[k], b.plane[k], c.plane[k], n, n, false, add);
+        by_blocks(a, b, c, add, rows, false);
     }
 
-    // Of a skew-Hermitian product, or of one by the adjoint of b, the entries on and below the diagonal, and some
-    // others.
-    void lower(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool adjoint, bool add = false) const {
-        const int panels = n < SMALL ? 1 : n < LARGE ? PANELS : 2 * PANELS;
-        for (int p = 0; p < panels; ++p) {
-            const int first = n * p / panels, last = n * (p + 1) / panels;
-            const int64_t row = int64_t(first) * n;
-            for (int k = 0; k < Planes<T>::COUNT; ++k)
-                panel(a.plane[k] + row, b.plane[k], c.plane[k] + row, last - first, last, adjoint, add);
-        }
+    // Of a skew-Hermitian product the entries on and below the diagonal, and some others.
+    void lower(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool add = false) const {
+        by_blocks(a, b, c, add, narrow, true);
     }
 
-    // Blocks of planes in Fortran's order: c = a b, whose columns are `stride` apart in a and b, and adjacent in c.
+    // The part of a product that `lower` computes.
+    double lower_part() const {
+        int64_t entries = 0;
+        for (int down = 0; down < narrow.count; ++down)
+            for (int right = 0; right < columns.count; ++right)
+                entries += int64_t(narrow.length(down)) * std::max(0, lower_end(down, right) - columns.begin(right));
+        return double(entries) / (double(n) * n);
+    }
+
+    // Blocks of planes in Fortran's order: c = a b, whose columns are `n` apart in a and b, and adjacent in c.
     void multiply_blocks(int rows, int columns, int inner, const Planes<T>& a, int64_t at_a, const Planes<T>& b,
-                         int64_t at_b, const Planes<T>& c) const {
-        const char plain = 'N';
-        const Real one(1.0), zero(0.0);
+                         int64_t at_b, const Planes<T>& c, int64_t at_c) const {
         for (int k = 0; k < Planes<T>::COUNT; ++k)
-            gemm(&plain, &plain, &rows, &columns, &inner, &one, a.plane[k] + at_a, &n, b.plane[k] + at_b, &n, &zero,
-                 c.plane[k], &rows);
+            call(rows, columns, inner, a.plane[k] + at_a, b.plane[k] + at_b, 0.0, c.plane[k] + at_c, rows);
     }
 
   private:
-    // Panels of which only the lower half is computed, and sizes below which one panel, or few, are faster.
-    static constexpr int PANELS = 4, SMALL = 32, LARGE = 256;
     const Gemm<Real> gemm;
     const int n;
+    const Parts inner, rows, columns, narrow;
 
-    // The first `columns` entries of some rows of the product. Fortran reads columns: it sees the transposed matrices,
-    // and their product in the opposite order.
-    void panel(const Real* a, const Real* b, Real* c, int rows, int columns, bool adjoint, bool add) const {
-        const Real one(1.0), beta(add ? 1.0 : 0.0);
-        const char plain = 'N', other = adjoint ? 'T' : 'N';
-        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &beta, c, &n);
+    // Whether blocks are so small that OpenBLAS does not copy them, which it can with these instructions, and which is
+    // faster up to this size.
+    bool uncopied() const {
+#if defined(__AVX512F__)
+        return n <= 512;
+#else
+        return false;
+#endif
+    }
+
+    // The width of a panel: of columns in Fortran's order in double precision, and of rows in single, as is faster.
+    int panel() const { return n < 64 ? n : n < 256 ? n / 2 : std::max(128, std::min(n / 4, 256)); }
+
+    // Of the entries on and below the diagonal in a block, the last column, and one.
+    int lower_end(int down, int right) const { return std::min(columns.end(right), narrow.end(down)); }
+
+    void by_blocks(const Planes<T>& a, const Planes<T>& b, const Planes<T>& c, bool add, const Parts& rows,
+                   bool lower) const {
+        const int64_t blocks = int64_t(rows.count) * columns.count;
+        share_blocks(Planes<T>::COUNT * blocks, [&](int64_t first, int64_t last) {
+            for (int64_t e = first; e < last; ++e) {
+                const int down = in_turns(int(e % blocks / columns.count), rows.count), right = int(e % columns.count);
+                const int k = int(e / blocks), end = lower ? lower_end(down, right) : columns.end(right);
+                block(a.plane[k], b.plane[k], c.plane[k], rows.begin(down), rows.end(down), columns.begin(right), end,
+                      add);
+            }
+        });
+    }
+
+    // Fortran reads columns: it sees the transposed matrices, and their product in the opposite order.
+    void block(const Real* a, const Real* b, Real* c, int top, int bottom, int left, int right, bool add) const {
+        if (right <= left) return;
+        for (int p = 0; p < inner.count; ++p)
+            call(right - left, bottom - top, inner.length(p), b + int64_t(inner.begin(p)) * n + left,
+                 a + int64_t(top) * n + inner.begin(p), add || p > 0 ? 1.0 : 0.0, c + int64_t(top) * n + left, n);
+    }
+
+    void call(int rows, int columns, int inner, const Real* a, const Real* b, double factor, Real* c, int apart) const {
+        const char plain = 'N';
+        const Real one(1.0), beta(factor);
+        gemm(&plain, &plain, &rows, &columns, &inner, &one, a, &n, b, &n, &beta, c, &apart);
     }
 };
 
@@ -203,7 +258,8 @@ class Products {
     void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
 
   private:
-    // Panels of which only the lower half is computed, and sizes below which one panel is faster.
+    // Panels, which threads share, of which only the lower half is computed if that suffices, and sizes below which one
+    // panel is faster.
     static constexpr int PANELS = 4, SMALL = 32;
     const Gemm<T> gemm;
     const int n;
@@ -223,12 +279,14 @@ class Products {
     }
 
     void by_panels(const T* a, const T* b, T* c, bool adjoint, bool skew, bool add) const {
-        const int panels = !skew || n < SMALL ? 1 : PANELS;
-        for (int p = 0; p < panels; ++p) {
-            const int first = n * p / panels, last = n * (p + 1) / panels;
-            const int64_t row = int64_t(first) * n;
-            panel(a + row, b, c + row, last - first, last, adjoint, add);
-        }
+        const int panels = n < SMALL ? 1 : std::max(PANELS, n / 256);
+        share_blocks(panels, [=, this](int64_t begin, int64_t end) {
+            for (int turn = int(begin); turn < end; ++turn) {
+                const int p = in_turns(turn, panels), first = n * p / panels, last = n * (p + 1) / panels;
+                const int64_t row = int64_t(first) * n;
+                panel(a + row, b, c + row, last - first, skew ? last : n, adjoint, add);
+            }
+        });
     }
 
     // The first `columns` entries of some rows of the product.

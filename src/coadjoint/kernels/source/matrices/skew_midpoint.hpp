@@ -47,6 +47,7 @@ struct SkewMidpoint final : SkewStep<T> {
     PlanesOf<LowPrecision> low_planes;
     std::vector<double> M, base, P, F, D, R, residuals;  // packed
     std::vector<double> weight;  // of a layer of P, by which residuals are compared
+    std::vector<double> largest_of_row;
 
     struct Direction {
         std::vector<float> p, q;
@@ -56,7 +57,8 @@ struct SkewMidpoint final : SkewStep<T> {
 
     explicit SkewMidpoint(const StepTables& tables)
         : Base(tables), half(PARTS * n * (n + 1) / 2), low(tables.whole[LOWER_GEMM], n),
-          low_planes(square, LOW_MATRICES * layers), M(layers * half), base(M), P(moving * half), F(P), D(P), R(P), residuals(P), weight(moving, 1.0) {
+          low_planes(square, LOW_MATRICES * layers), M(layers * half), base(M), P(moving * half), F(P), D(P), R(P),
+          residuals(P), weight(moving, 1.0), largest_of_row(n) {
         for (Direction& each : directions) each.p.resize(P.size()), each.q.resize(P.size());
         this->memory_size = 3 + M.size() + (1 + HISTORY) * P.size();
     }
@@ -94,25 +96,27 @@ struct SkewMidpoint final : SkewStep<T> {
         });
     }
 
-    // Call use(first, at, count) for each row: the index in G of its diagonal entry's first number, that of a packed
-    // matrix, and the count of its numbers.
+    // Call use(first, at, count) for each row, on the threads of a team: the index in G of its diagonal entry's first
+    // number, that of a packed matrix, and the count of its numbers.
     template <class Use>
     void each_row(int64_t in_layers, const Use& use) const {
         for (int64_t l = 0; l < in_layers; ++l)
-            for (int64_t i = 0, at = l * half; i < n; at += PARTS * (n - i), ++i)
-                use(PARTS * (l * square + i * (n + 1)), at, PARTS * (n - i));
+            each_row_shared(n, [&](int64_t i) {
+                use(PARTS * (l * square + i * (n + 1)), l * half + PARTS * packed_index(n, i, i), PARTS * (n - i));
+            });
     }
 
     // The largest |value(row number k of image, k packed)| of a layer; NaN if one of them is not finite.
     template <class Value>
-    double largest_of_rows(int64_t l, const Value& value) const {
+    double largest_of_rows(int64_t l, const Value& value) {
         const double* const from = reinterpret_cast<const double*>(image.data()) + PARTS * l * square;
-        double most = 0.0;
-        for (int64_t i = 0, at = l * half; i < n; at += PARTS * (n - i), ++i) {
+        each_row_shared(n, [&](int64_t i) {
             const double* const row = from + PARTS * i * (n + 1);
-            const double largest = largest_of(PARTS * (n - i), [=](int64_t k) { return value(row[k], at + k); });
-            if (!(largest <= most)) most = most - most == 0.0 ? largest : most;
-        }
+            const int64_t at = l * half + PARTS * packed_index(n, i, i);
+            largest_of_row[i] = largest_of(PARTS * (n - i), [=](int64_t k) { return value(row[k], at + k); });
+        });
+        double most = 0.0;
+        for (int64_t i = 0; i < n; ++i) keep_larger(most, largest_of_row[i]);
         return most;
     }
 
@@ -128,7 +132,7 @@ struct SkewMidpoint final : SkewStep<T> {
         double largest = 0.0;
         for (int64_t l = 0; l < moving; ++l) {
             residual[l] = largest_of_rows(l, [=](double from, int64_t k) { return f[k] = from - less[k]; });
-            sizes[l] = largest_of(half, [=](int64_t k) { return p[l * half + k]; });
+            sizes[l] = shared_largest(half, [=](int64_t k) { return p[l * half + k]; });
             sizes[l] = std::max(sizes[l], stream.largest_constant(l));
             largest = std::max(largest, std::max(sizes[l], residual[l]));
         }
@@ -152,25 +156,25 @@ struct SkewMidpoint final : SkewStep<T> {
         const double half_step = 0.5 * h;
         const bool linear = stream.linear();
         for (int64_t l = 0; l < layers; ++l) {
-            const Planes<T> state = whole(STATE, l), Z = whole(FIRST, l), V = whole(SECOND, l);
+            const Planes<T> state = whole(STATE, l), opposite = whole(FIRST, l), V = whole(SECOND, l);
             const Planes<LowPrecision> midpoint = lower(LOW_MIDPOINT, l), end = lower(LOW_END, l);
-            each_tile(n, [=](const TileRange& range) {
+            each_tile(n, [=, this](const TileRange& range) {
                 const TileRange other = range.opposite();
-                Tile<T> own, v, v_below, z, z_below, m, turned;
-                load(range, state, own), load(range, Z, z), load(other, Z, z_below);
+                Tile<T> own, v, v_below, z, z_below, m, turned;  // z: of -Z*
+                load(range, state, own), load(range, opposite, z), load(other, opposite, z_below);
                 load_both(range, V, v, v_below);
                 const Tile<T> z_opposite = z_below.opposite();
                 m.set([&](int p, int i) {
-                    return own.row[p][i] + (v.row[p][i] + (z.row[p][i] + z_opposite.row[p][i]));
+                    return own.row[p][i] + (v.row[p][i] + (z_opposite.row[p][i] + z.row[p][i]));
                 });
                 if (range.diagonal()) m.mirror();
-                turned.set([&](int p, int i) { return m.row[p][i] + (v.row[p][i] + z_opposite.row[p][i]); });
+                turned.set([&](int p, int i) { return m.row[p][i] + (v.row[p][i] + z.row[p][i]); });
                 store(range, m, half_step, midpoint), store(range, turned, half_step, end);
                 store_packed(range, m, M.data() + l * half);
                 if (!range.diagonal()) {
-                    const Tile<T> m_below = m.opposite(), opposite = z.opposite();
+                    const Tile<T> m_below = m.opposite();
                     turned.set([&](int p, int i) {
-                        return m_below.row[p][i] + (v_below.row[p][i] + opposite.row[p][i]);
+                        return m_below.row[p][i] + (v_below.row[p][i] + z_below.row[p][i]);
                     });
                     store(other, m_below, half_step, midpoint), store(other, turned, half_step, end);
                 }
@@ -189,7 +193,7 @@ struct SkewMidpoint final : SkewStep<T> {
         typedef std::conditional_t<std::is_same_v<Number, double>, T, LowPrecision> Entry;
         for (int64_t l = 0; l < moving; ++l) unpack<Entry>(n, packed + l * half, factor(l), lower(CHANGE, l));
         multiply_low(LOW_INVERSE, CHANGE, TURNED, moving, moving);
-        for (int64_t l = 0; l < moving; ++l) combine_products(square, lower(TURNED, l), false);
+        for (int64_t l = 0; l < moving; ++l) combine_products(square, lower(TURNED, l));
         multiply_low(TURNED, A, SLOPE, moving, layers, from);
     }
 
@@ -246,7 +250,9 @@ struct SkewMidpoint final : SkewStep<T> {
     bool correct(double enough) {
         double *p = P.data(), *rest = R.data(), *d = D.data(), *f = F.data(), *r = residuals.data();
         if (!stream.linear()) {
-            for (size_t k = 0; k < P.size(); ++k) d[k] = f[k], p[k] += d[k], rest[k] += d[k];
+            share(int64_t(P.size()), [=](int64_t first, int64_t last) {
+                for (int64_t k = first; k < last; ++k) d[k] = f[k], p[k] += d[k], rest[k] += d[k];
+            });
             return false;
         }
         for (int64_t l = 0; l < moving; ++l) {
@@ -272,7 +278,9 @@ struct SkewMidpoint final : SkewStep<T> {
             if (used == DIRECTIONS) combine(used, combined), used = 0;
             Direction& now = directions[used];
             float *p = now.p.data(), *q = now.q.data();
-            for (int64_t e = 0; e < numbers; ++e) p[e] = float(r[e]);
+            share(numbers, [=](int64_t first, int64_t last) {
+                for (int64_t e = first; e < last; ++e) p[e] = float(r[e]);
+            });
             apply_slope(p, [this](int64_t l) { return 1.0 / weight[l]; });
             double most = 0.0;
             for (int64_t l = 0; l < moving; ++l) {
@@ -282,28 +290,34 @@ struct SkewMidpoint final : SkewStep<T> {
                                 }));
             }
             shrunk = most / left;
-            for (int64_t e = 0; e < numbers; ++e) q[e] = p[e] - q[e];
+            share(numbers, [=](int64_t first, int64_t last) {
+                for (int64_t e = first; e < last; ++e) q[e] = p[e] - q[e];
+            });
             for (int64_t j = 0; j < used; ++j) {
                 Direction& old = directions[j];
                 const float *other = old.q.data(), overlap = float(dot(numbers, q, other) / old.square);
                 now.overlap[j] = overlap;
-                for (int64_t e = 0; e < numbers; ++e) q[e] -= overlap * other[e];
+                share(numbers, [=](int64_t first, int64_t last) {
+                    for (int64_t e = first; e < last; ++e) q[e] -= overlap * other[e];
+                });
             }
             now.square = dot(numbers, q, q);
             now.share = dot(numbers, r, q) / now.square;
             if (!(now.square > 0.0) || !(now.share - now.share == 0.0)) break;
-            const double share = now.share;
-            left = largest_of(numbers, [=](int64_t e) { return r[e] -= share * q[e]; });
+            const double part = now.share;
+            left = shared_largest(numbers, [=](int64_t e) { return r[e] -= part * q[e]; });
             ++used;
         }
         combine(used, combined);
         for (int64_t l = 0; l < moving; ++l) {
             const double own = unit / weight[l];
-            for (int64_t k = l * half; k < (l + 1) * half && combined; ++k) r[k] += d[k];
-            for (int64_t k = l * half; k < (l + 1) * half; ++k) {
-                d[k] = f[k] + own * r[k];
-                p[k] += d[k], rest[k] += d[k];
-            }
+            share(half, [=](int64_t first, int64_t last) {
+                for (int64_t k = l * half + first; k < l * half + last && combined; ++k) r[k] += d[k];
+                for (int64_t k = l * half + first; k < l * half + last; ++k) {
+                    d[k] = f[k] + own * r[k];
+                    p[k] += d[k], rest[k] += d[k];
+                }
+            });
         }
         return reached();
     }
@@ -314,10 +328,12 @@ struct SkewMidpoint final : SkewStep<T> {
         if (used > 0 && !combined) std::fill(D.begin(), D.end(), 0.0), combined = true;
         for (int64_t k = used - 1; k >= 0; --k) {
             Direction& now = directions[k];
-            const double share = now.share;
-            for (int64_t j = 0; j < k; ++j) directions[j].share -= now.overlap[j] * share;
+            const double part = now.share;
+            for (int64_t j = 0; j < k; ++j) directions[j].share -= now.overlap[j] * part;
             const float* p = now.p.data();
-            for (size_t e = 0; e < D.size(); ++e) d[e] += share * double(p[e]);
+            share(int64_t(D.size()), [=](int64_t first, int64_t last) {
+                for (int64_t e = first; e < last; ++e) d[e] += part * double(p[e]);
+            });
         }
     }
 
@@ -375,7 +391,9 @@ struct SkewMidpoint final : SkewStep<T> {
         const auto row = [this, l](int64_t j) -> const double* { return past(j) + l * half; };
         const int64_t taken = fit_rows(half, int64_t(this->memory[0]) - 1, row, factor);
         const double* const slope = slope_of_last() + l * half;
-        for (int64_t k = 0; k < half; ++k) rest[l * half + k] = -slope[k];
+        share(half, [=](int64_t first, int64_t last) {
+            for (int64_t k = first; k < last; ++k) rest[l * half + k] = -slope[k];
+        });
         add_rows(half, taken, row, factor, rest + l * half);
     }
 
@@ -388,13 +406,13 @@ struct SkewMidpoint final : SkewStep<T> {
         const double *f = F.data(), *d = D.data(), *rest = R.data(), *p = P.data();
         double *slope = slope_of_last(), *row = past(0);
         const int64_t numbers = P.size();
-        if (known)
-            for (int64_t k = 0; k < numbers; ++k) row[k] = rest[k] + slope[k] + (corrected ? 0.0 : f[k]);
-        for (int64_t k = 0; k < numbers; ++k) slope[k] = corrected && linear ? d[k] - f[k] : 0.0;
-        if (!known)
-            for (int64_t k = 0; k < numbers; ++k) row[k] = (p[k] - slope[k]) + 2.0 * rest[k];
-        if (linear) std::copy(M.begin(), M.end(), memory + 3);
-        else std::copy(P.begin(), P.end(), memory + 3);
+        share(numbers, [=](int64_t first, int64_t last) {
+            for (int64_t k = first; k < last && known; ++k) row[k] = rest[k] + slope[k] + (corrected ? 0.0 : f[k]);
+            for (int64_t k = first; k < last; ++k) slope[k] = corrected && linear ? d[k] - f[k] : 0.0;
+            for (int64_t k = first; k < last && !known; ++k) row[k] = (p[k] - slope[k]) + 2.0 * rest[k];
+        });
+        const std::vector<double>& last = linear ? M : P;
+        shared_copy(last.data(), int64_t(last.size()), memory + 3);
         memory[0] = std::min(memory[0] + 1.0, double(HISTORY + 1));
     }
 };

@@ -35,7 +35,9 @@ struct SkewStep : Isospectral<T> {
     void load_state(const T* W) {
         for (int64_t l = 0; l < layers; ++l) {
             const Planes<T> to = whole(STATE, l);
-            for (int64_t e = 0; e < square; ++e) to.set(e, W[l * square + e]);
+            share(square, [=](int64_t first, int64_t last) {
+                for (int64_t e = first; e < last; ++e) to.set(e, W[l * square + e]);
+            });
         }
     }
 
@@ -50,20 +52,20 @@ struct SkewStep : Isospectral<T> {
         }
     }
 
-    // c := a b, of matrices of `in_a` and `in_b` layers; their numbers, or with `difference` those of the left factor of
-    // a product by an adjoint.
-    void multiply(int64_t a, int64_t b, int64_t c, int64_t in_a, int64_t in_b, bool difference) {
+    // c := a b, of matrices of `in_a` and `in_b` layers, or with `opposite` the negative adjoint of that.
+    void multiply(int64_t a, int64_t b, int64_t c, int64_t in_a, int64_t in_b, bool opposite) {
         each_product(in_a, in_b, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
             products.multiply(whole(a, i), whole(b, j), whole(c, l), add);
         });
-        for (int64_t l = 0; l < std::max(in_a, in_b); ++l) combine_products(square, whole(c, l), difference);
+        for (int64_t l = 0; l < std::max(in_a, in_b); ++l)
+            opposite ? combine_opposites(n, whole(c, l)) : combine_products(square, whole(c, l));
     }
 
-    // FIRST := Z = A W, and SECOND := the parts of the skew-Hermitian Z A*.
+    // FIRST := -Z*, Z = A W, and SECOND := the parts of the skew-Hermitian A W A* = A (-Z*).
     void multiply_state(int64_t A) {
         multiply(A, STATE, FIRST, moving, layers, true);
-        each_product(layers, moving, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
-            products.lower(whole(FIRST, i), whole(A, j), whole(SECOND, l), true, add);
+        each_product(moving, layers, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
+            products.lower(whole(A, i), whole(FIRST, j), whole(SECOND, l), add);
         });
     }
 
@@ -83,19 +85,19 @@ struct SkewStep : Isospectral<T> {
     // Of the skew-Hermitian V = Z C*, whose entries on and below the diagonal are computed, the tile above and that
     // below it.
     static void load_both(const TileRange& range, const Planes<T>& V, Tile<T>& above, Tile<T>& below) {
-        load_product(range.opposite(), V, below, true);
+        load_product(range.opposite(), V, below);
         above = below.opposite();
         if (range.diagonal()) above.mirror(), below = above;
     }
 
     // The tile of 2 (Z - Z*) + 4 V, the change of W by conjugation with 1 + 2 C, Z = C W, V = Z C*.
     Tile<T> load_change(const TileRange& range, int64_t l) {
-        const Planes<T> Z = whole(FIRST, l), V = whole(SECOND, l);
-        Tile<T> v, below, z, move;
-        load(range, Z, z), load(range.opposite(), Z, below);
-        const Tile<T> opposite = below.opposite();
+        const Planes<T> opposite = whole(FIRST, l), V = whole(SECOND, l);
+        Tile<T> v, below, own, other, move;
+        load(range, opposite, own), load(range.opposite(), opposite, other);
+        const Tile<T> z = other.opposite();
         load_both(range, V, v, below);
-        move.set([&](int p, int i) { return 4.0 * v.row[p][i] + 2.0 * (z.row[p][i] + opposite.row[p][i]); });
+        move.set([&](int p, int i) { return 4.0 * v.row[p][i] + 2.0 * (z.row[p][i] + own.row[p][i]); });
         return move;
     }
 
@@ -110,10 +112,15 @@ struct SkewStep : Isospectral<T> {
     // The second layer of C for X0 + eps X1: B0 X1 B0.
     void invert_second() {
         const Planes<T> C = whole(INVERSE, 0), X = whole(INVERSE, 1), left = whole(FIRST, 0), both = whole(SECOND, 0);
+        const auto add = [=, this](const Planes<T>& from, const Planes<T>& to) {
+            share(square, [=](int64_t first, int64_t last) {
+                for (int64_t e = first; e < last; ++e) to.set(e, from.at(e) + both.product(e));
+            });
+        };
         products.multiply(C, X, both);
-        for (int64_t e = 0; e < square; ++e) left.set(e, X.at(e) + both.product(e));
+        add(X, left);
         products.multiply(left, C, both);
-        for (int64_t e = 0; e < square; ++e) X.set(e, left.at(e) + both.product(e));
+        add(left, X);
     }
 
     static void add(const TileRange& range, const Tile<T>& move, double* x, double* dx) {

@@ -60,34 +60,45 @@ class DiagonalMap {
     }
 
   private:
+    static constexpr int64_t GROUP = 32;  // diagonals that are solved together
     const int64_t kind, n;
     const double* const numbers;
     const std::unique_ptr<Circulants<T>> circulants;
     std::vector<T> halves;  // of one diagonal, the even one first
 
-    // Row by row for all diagonals at once, so that dependent rows are adjacent.
+    // Row by row for some diagonals at once, so that dependent rows are adjacent; threads share the groups.
     void solve(const T* W, T* P) const {
-        const double *below = numbers, *inverse = numbers + n * n;
-        const bool unseen = below[0] != 0.0;
+        const bool unseen = numbers[0] != 0.0;
         const T trace = unseen ? mean(W) : T(0.0);
-        for (int64_t i = 0; i < n; ++i) {
-            const T *from = W + i * n + i, *before = P + (i - 1) * n + i - 1;
-            T* to = P + i * n + i;
-            if (i == 0) std::copy_n(from, n, to);
-            else
-                for (int64_t m = 0; m < n - i; ++m) to[m] = from[m] - below[i * n + m] * before[m];
-            // The stages of a step have a trace; only a map that ignores it is symmetric on them.
-            to[0] -= trace;
-        }
-        for (int64_t i = n - 1; i >= 0; --i) {
-            T* to = P + i * n + i;
-            const T* after = P + (i + 1) * n + i + 1;
-            for (int64_t m = 0; m < n - i; ++m) to[m] *= inverse[i * n + m];
-            for (int64_t m = 0; m < n - i - 1; ++m) to[m] -= below[(i + 1) * n + m] * after[m];
-        }
+        each_row_shared((n + GROUP - 1) / GROUP, [=, this](int64_t group) {
+            solve(W, P, GROUP * group, std::min(n, GROUP * (group + 1)), trace);
+        });
         if (unseen) {
             const T rest = mean(P);
             for (int64_t i = 0; i < n; ++i) P[i * n + i] -= rest;
+        }
+    }
+
+    // For the diagonals from `first` to `last` - 1.
+    void solve(const T* W, T* P, int64_t first, int64_t last, T trace) const {
+        const double *below = numbers, *inverse = numbers + n * n;
+        for (int64_t i = 0; i < n - first; ++i) {
+            const T *from = W + i * n + i, *before = P + (i - 1) * n + i - 1;
+            T* to = P + i * n + i;
+            const int64_t end = std::min(last, n - i);
+            if (i == 0) std::copy(from + first, from + end, to + first);
+            else
+                for (int64_t m = first; m < end; ++m) to[m] = from[m] - below[i * n + m] * before[m];
+            // The stages of a step have a trace; only a map that ignores it is symmetric on them.
+            if (first == 0) to[0] -= trace;
+        }
+        for (int64_t i = n - 1 - first; i >= 0; --i) {
+            T* to = P + i * n + i;
+            const T* after = P + (i + 1) * n + i + 1;
+            const int64_t end = std::min(last, n - i), inside = std::min(last, n - i - 1);
+            for (int64_t m = first; m < inside; ++m)
+                to[m] = to[m] * inverse[i * n + m] - below[(i + 1) * n + m] * after[m];
+            for (int64_t m = std::max(first, inside); m < end; ++m) to[m] *= inverse[i * n + m];
         }
     }
 

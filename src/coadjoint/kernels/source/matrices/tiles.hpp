@@ -67,11 +67,12 @@ struct TileRange {
     }
 };
 
-// Call use(range) for each tile on and above the diagonal.
+// Call use(range) for each tile on and above the diagonal, on the threads of a team.
 template <class Use>
 void each_tile(int64_t n, const Use& use) {
-    for (int64_t row = 0; row < n; row += TILE)
-        for (int64_t column = row; column < n; column += TILE) use(TileRange(n, row, column));
+    each_row_shared((n + TILE - 1) / TILE, [&](int64_t row) {
+        for (int64_t column = TILE * row; column < n; column += TILE) use(TileRange(n, TILE * row, column));
+    });
 }
 
 template <class T>
@@ -161,9 +162,9 @@ inline void load(const TileRange& range, const Planes<T>& from, Tile<T>& to) {
         range.each_row([&](int i, int64_t e, int count) { to.row[p][i] = load_row(from.plane[p] + e, count); });
 }
 
-// Load products of planes, of two matrices or with `adjoint` of one by the adjoint of the other.
+// Load products of planes.
 template <class T>
-inline void load_product(const TileRange& range, const Planes<T>& from, Tile<T>& to, bool adjoint = false) {
+inline void load_product(const TileRange& range, const Planes<T>& from, Tile<T>& to) {
     to.clear(range);
     range.each_row([&](int i, int64_t e, int count) {
         const auto first = load_row(from.plane[0] + e, count);
@@ -171,8 +172,8 @@ inline void load_product(const TileRange& range, const Planes<T>& from, Tile<T>&
             to.row[0][i] = first;
         } else {
             const auto second = load_row(from.plane[1] + e, count), third = load_row(from.plane[2] + e, count);
-            to.row[0][i] = adjoint ? first + second : first - second;
-            to.row[1][i] = adjoint ? (first - second) - third : third - (first + second);
+            to.row[0][i] = first - second;
+            to.row[1][i] = third - (first + second);
         }
     });
 }
@@ -235,18 +236,32 @@ void unpack(int64_t n, const typename RealType<T>::type* packed, double factor, 
     });
 }
 
-// Set planes to the products that they hold the parts of; with `difference` as the left factor of one by an adjoint.
+// Set planes to the products that they hold the parts of.
 template <class T>
-void combine_products(int64_t count, const Planes<T>& planes, bool difference) {
-    if constexpr (Planes<T>::COUNT == 3) {
-        auto *__restrict first = planes.plane[0], *__restrict second = planes.plane[1];
-        auto* __restrict third = planes.plane[2];
-        const typename Planes<T>::Real sign(difference ? -1.0 : 1.0);
-        for (int64_t e = 0; e < count; ++e) {
-            const auto real = first[e] - second[e], imaginary = third[e] - (first[e] + second[e]);
-            first[e] = real, second[e] = imaginary, third[e] = real + sign * imaginary;
+void combine_products(int64_t count, const Planes<T>& planes) {
+    if constexpr (Planes<T>::COUNT == 3)
+        share(count, [=](int64_t begin, int64_t end) {
+            auto *__restrict first = planes.plane[0], *__restrict second = planes.plane[1];
+            auto* __restrict third = planes.plane[2];
+            for (int64_t e = begin; e < end; ++e) {
+                const auto real = first[e] - second[e], imaginary = third[e] - (first[e] + second[e]);
+                first[e] = real, second[e] = imaginary, third[e] = real + imaginary;
+            }
+        });
+}
+
+// The same of the negative adjoints.
+template <class T>
+void combine_opposites(int64_t n, const Planes<T>& planes) {
+    each_tile(n, [=](const TileRange& range) {
+        Tile<T> own, other;
+        load_product(range, planes, own);
+        if (!range.diagonal()) {
+            load_product(range.opposite(), planes, other);
+            store(range, other.opposite(), 1.0, planes);
         }
-    }
+        store(range.opposite(), own.opposite(), 1.0, planes);
+    });
 }
 
 // Round planes to those of a lower precision.
@@ -256,7 +271,9 @@ void round_planes(int64_t count, const Planes<T>& from, const Planes<L>& to) {
     for (int p = 0; p < std::min(Planes<T>::COUNT, 2); ++p) {
         const auto* __restrict whole = from.plane[p];
         auto* __restrict low = to.plane[p];
-        for (int64_t e = 0; e < count; ++e) low[e] = Real(whole[e]);
+        share(count, [=](int64_t first, int64_t last) {
+            for (int64_t e = first; e < last; ++e) low[e] = Real(whole[e]);
+        });
     }
 }
 
@@ -266,7 +283,9 @@ void add_parts(int64_t count, const Planes<T>& planes) {
     if constexpr (Planes<T>::COUNT == 3) {
         const auto *__restrict first = planes.plane[0], *__restrict second = planes.plane[1];
         auto* __restrict sum = planes.plane[2];
-        for (int64_t e = 0; e < count; ++e) sum[e] = first[e] + second[e];
+        share(count, [=](int64_t begin, int64_t end) {
+            for (int64_t e = begin; e < end; ++e) sum[e] = first[e] + second[e];
+        });
     }
 }
 
