@@ -1,5 +1,6 @@
 """Derivatives of runs with forces on a satellite, and sampled controllers, by all their parameters."""
 
+import numpy as np
 import pytest
 from derivative_checks import assert_derivatives
 
@@ -29,3 +30,18 @@ def test_derivatives_by_parameters_of_forces(name):
         "Sampled": {"law.stiffness", "law.damping"} if case.stored else set(),
     }.get(label, {"law.stiffness", "law.damping"})
     assert {"x0", "inertia", *(f"{label}.{one}" for one in wanted), *({"wheels"} & set(case.body))} <= set(gradient)
+
+
+@pytest.mark.parametrize("turn", [*np.eye(4), *-np.eye(4)[:3]], ids=lambda turn: str(turn.astype(int).tolist()))
+def test_pointing_by_quaternions_about_every_axis_by_half_a_turn(turn):
+    """The slope by the stiffness where each component of the quaternion is the largest, of either sign."""
+
+    def end(stiffness):
+        law = co.forces.Pointing(stiffness, 1.5, error="quaternion", max_torque=0.9)
+        return co.prepare(co.systems.body((1.0, 2.0, 2.5)).with_forces(law), co.Splitting(), 0.05)
+
+    quaternion = (turn + 0.1) / np.linalg.norm(turn + 0.1)
+    x0, h = end(0.5).system.state(quaternion, angular_velocity=(0.1, 0.2, 0.3)), 1e-5
+    sol, pullback = end(0.5).vjp(x0, (0, 0.5))
+    ends = [end(0.5 + s * h).run(x0, (0, 0.5)).x.sum() for s in (1, -1)]
+    assert abs(pullback(np.ones_like(sol.x))["Pointing.stiffness"] - (ends[0] - ends[1]) / (2 * h)) < 1e-7

@@ -279,7 +279,7 @@ def quaternion_error(X: Any, Y: Any, Z: Any) -> Any:
         k, size, other, third = 1, 1.0 + Y[1] - Z[2] - X[0], Y[2] + Z[1], Y[0] + X[1]
     else:
         k, size, other, third = 2, 1.0 + Z[2] - X[0] - Y[1], Z[0] + X[2], Z[1] + Y[2]
-    # The scalar part has the sign of the k-th component of the antisymmetric part.
-    root = np.sqrt(size) if result[k] >= 0.0 else -np.sqrt(size)
+    # The scalar part has the sign of the k-th component of the antisymmetric part, by a factor: a choice is a branch.
+    root = np.sqrt(size) * (1.0 - 2.0 * (result[k] < 0.0))
     result[k], result[(k + 1) % 3], result[(k + 2) % 3] = root, other / root, third / root
     return result
