@@ -371,9 +371,7 @@ class HeatBath(DoubleBracketDamping):
         for v in self._noise_directions(system, t, tau, 0):
             y, by_y = self._noise_tangent(system, v, y)
             product = by_y @ product
-        damping = super().tangent(system, y, t, tau)
-        if damping is None:
-            return None
+        damping: Any = super().tangent(system, y, t, tau)  # a matrix on vectors
         y, product = super().flow(system, y, t, tau), damping @ product
         for v in self._noise_directions(system, t, tau, 1):
             y, by_y = self._noise_tangent(system, v, y)
