@@ -14,6 +14,7 @@ SUBJECTS = {
         "one_trajectory": "One trajectory",
         "large_trajectories": "Large systems",
         "spins": "Spins",
+        "spin_models": "Spin models on crystals and of SU(N)",
         "dipoles": "Dipoles by FFT",
         "spins_more": "Spins on other machines",
         "molecules": "Rigid molecules",

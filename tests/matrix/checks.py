@@ -389,9 +389,6 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield refusal("ready.jvp(x0, span, {'x0': x0})", "steps")
         return
     turned = chosen["attitude"] != "none"
-    if turned and any(noise in case.lines for noise in ("HamiltonianNoise(", "RandomField(")):
-        yield refusal("ready.jvp(x0, span, {'x0': x0})", "group element")
-        return
     steps = STEPS if compiled_derivatives(case) else 1
     times = ", t_eval=options['t_eval']" if steps == STEPS and "t_eval" in space["options"] else ""
     lines = "x = x0[0]\n" if chosen["members"] == "many" and steps == 1 else "x = x0\n"

@@ -77,9 +77,9 @@ def double_bracket(root: Callable[..., Any], params: Any = None) -> Force:
         torch.func.grad(lambda params: run((1.0, 0.2, 0.5), params=params)[-1, 0])(params)["root"]
     """
     require_packages("co.torch.double_bracket", "torch")
-    from coadjoint.torch.library import RootFunction
+    from coadjoint.torch.library import TorchRoot
 
-    return LearnedDoubleBracket(RootFunction(root, params))
+    return LearnedDoubleBracket(TorchRoot(root, params))
 
 
 def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
@@ -364,9 +364,9 @@ def torque(function: Callable[..., Any], params: Any = None) -> Force:
         rate.grad
     """
     require_packages("co.torch.torque", "torch")
-    from coadjoint.torch.library import TorqueFunction
+    from coadjoint.torch.library import TorchTorque
 
-    return LearnedTorque(TorqueFunction(function, params))
+    return LearnedTorque(TorchTorque(function, params))
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other

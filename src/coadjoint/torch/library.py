@@ -145,13 +145,13 @@ class TorchFeatures(ParametrizedFeatures):
         self.params = _pytree.tree_map(lambda one: one.detach().clone(), self.params)
 
 
-class TorqueFunction(OwnedParams, ParametrizedTorque):
+class TorchTorque(OwnedParams, ParametrizedTorque):
     """A torque of PyTorch."""
 
     caller = "co.torch.torque"
 
 
-class RootFunction(OwnedParams, ParametrizedRoot):
+class TorchRoot(OwnedParams, ParametrizedRoot):
     """A root of a metric of PyTorch."""
 
     caller = "co.torch.double_bracket"

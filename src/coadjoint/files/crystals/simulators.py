@@ -35,7 +35,17 @@ FIELDS = (
     "dipolar",
 )
 """What a declaration may have; of anything else a simulator would not know."""
-PARTS = ("what", "bond", "bonds", "sites", "matrices", "text", "source", "given")  # of a coupling or an anisotropy
+PARTS = (
+    "what",
+    "bond",
+    "bonds",
+    "sites",
+    "matrices",
+    "text",
+    "source",
+    "given",
+    "name",
+)  # of a coupling or an anisotropy
 ROUNDING = 1e-12  # of matrices, relative to their largest entry
 
 
