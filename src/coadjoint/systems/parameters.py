@@ -455,9 +455,22 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
 
         return Parameter(value, cache(cast(Any, partial(EnergyDifferences, name, value, moved))))
 
+    def is_at_limit(name: str, value: Floats) -> bool:
+        """Return whether values on one side of zero are refused."""
+        try:
+            for by in (-DISTANCE, DISTANCE) if value.ndim == 0 and value == 0.0 and name not in values else ():
+                builder(**{**arguments, name: by})
+        except ValueError:
+            return True
+        return False
+
     names = arguments if system.energy_parameters is None else system.energy_parameters
     found = {name: real_numbers(arguments[name]) for name in names}
-    return {name: parameter(name, value) for name, value in found.items() if value is not None}
+    return {
+        name: parameter(name, value)
+        for name, value in found.items()
+        if value is not None and not is_at_limit(name, value)
+    }
 
 
 def _plain(value: Floats) -> Any:

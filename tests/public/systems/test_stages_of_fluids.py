@@ -38,3 +38,18 @@ def test_casimirs_over_many_steps_and_bits_of_resumed_runs(tmp_path):
     co.integrate(system, W, (0, 500 * H), H, method, save_every=500, archive=path)
     co.resume(path, 1000 * H)
     assert co.load(path).x[-1].tobytes() == sol.x[2].tobytes()
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_a_member_that_fails_leaves_those_beside_and_after_it_alone(stages):
+    system = co.systems.sphere_euler(N=5)
+    noise = np.random.default_rng(63).normal(size=(2, 5, 5)) * (0.3 + 0.2j)
+    calm, wild = system.algebra.projected(noise) * np.array([1.0, 1e4])[:, None, None]
+    ready = co.prepare(system, co.IsospectralGauss(stages), 1.0, watch=False, threads=1)
+    alone = ready.run(calm, (0, 2)).x
+    for states in ([wild, calm], [calm, wild]):
+        with pytest.raises(co.IntegrationError, match="1 of 2 members") as error:
+            ready.run(np.array(states), (0, 2))
+        member = [state is calm for state in states].index(True)
+        assert np.array_equal(error.value.partial.x[:, member], alone)
+    assert np.array_equal(ready.run(calm, (0, 2)).x, alone)

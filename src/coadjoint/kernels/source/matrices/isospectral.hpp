@@ -49,7 +49,7 @@ struct Isospectral : StepScheme {
     bool ended(double change, double size) {
         ++iterations;
         if (iterations == 1)
-            first = least = change, stagnant = 0;
+            first = least = change, stagnant = 0, status = DONE;
         else
             stagnant = change < least ? 0 : stagnant + 1;
         InterruptCheck::of_this_call().after(work / 16);

@@ -68,7 +68,6 @@ struct SkewMidpoint final : SkewStep<T> {
         if (!predict(W, t, h)) return UNDEFINED;
         this->load_state(W);
         this->iterations = 0, this->evaluations = 1;
-        this->status = DONE;
         bool corrected = false;
         while (!corrected) {
             solve(h);
