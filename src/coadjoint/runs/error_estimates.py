@@ -170,7 +170,7 @@ def _smaller_step(
     row: int = -1,
 ) -> float:
     """Return the step at which the error over the run, and that of a step, are small, by the order and by trials."""
-    ratio = min(MADE_SMALL / min(1.0, error), SUGGESTED / min(error, truncation))
+    ratio = min(MADE_SMALL / min(1.0, error), SUGGESTED / max(SUGGESTED, min(error, truncation)))
     step = solution.step * float(ratio ** (1.0 / prepared.scheme.order))
     if measured is None or row < 0:
         return step
@@ -203,7 +203,8 @@ def wrong_member(measured: MeasuredSteps, steps: list[WorstStep], lost: LostInva
         return one.truncation > SUSPECTED or adds_up or (bool(lost.name) and lost.member == measured.members[one.m])
 
     suspected = sorted(filter(is_suspected, steps), key=lambda one: -max(one.truncation, min(1.0, one.total)))
-    errors = [error_over_run(measured, one) for one in suspected[:MOST_LOST]]
+    # Of a run that cannot be repeated by half steps all is error.
+    errors = [1.0 if math.isinf(error := error_over_run(measured, one)) else error for one in suspected[:MOST_LOST]]
     if not errors:
         return Wrong()
     error = max(errors)

@@ -186,9 +186,11 @@ class MeasuredSteps:
         rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * known_rounding)
         errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
-        errors[failed], changes[failed] = 0.0, 0.0
+        # The iteration of an implicit scheme may fail for half a step, and not for a third. Of a step of which both
+        # fail all is error.
+        moved = groups.norms(full[failed] - states[failed])
+        errors[failed] = changes[failed] = np.where(np.isfinite(moved), moved, 0.0)
         step = np.stack([errors, changes, known_rounding])
-        # The iteration of an implicit scheme may fail for half a step, and not for a third.
         if failed.any() and parts == HALVES:
             step[:, failed] = self._step(m[failed], states[failed], t[failed], known_rounding[failed], h, parts + 1)
         return step

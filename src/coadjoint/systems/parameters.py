@@ -455,11 +455,11 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
 
         return Parameter(value, cache(cast(Any, partial(EnergyDifferences, name, value, moved))))
 
-    def is_at_limit(name: str, value: Floats) -> bool:
-        """Return whether values on one side of zero are refused."""
+    def is_fixed(name: str, value: Floats) -> bool:
+        """Return whether values on one side of zero are refused, or of rows, which begin with numbers of modes."""
         try:
-            for by in (-DISTANCE, DISTANCE) if value.ndim == 0 and value == 0.0 and name not in values else ():
-                builder(**{**arguments, name: by})
+            for by in (-DISTANCE, DISTANCE) if (value.ndim == 2 or not value.any()) and name not in values else ():
+                builder(**{**arguments, name: _plain(moved_entry(value, (0,) * value.ndim, by, False))})
         except ValueError:
             return True
         return False
@@ -469,7 +469,7 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
     return {
         name: parameter(name, value)
         for name, value in found.items()
-        if value is not None and not is_at_limit(name, value)
+        if value is not None and not is_fixed(name, value)
     }
 
 

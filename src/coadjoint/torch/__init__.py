@@ -282,9 +282,10 @@ def solution(
     """
     require_packages("co.torch.solution", "torch")
     from coadjoint.torch.compiled_runs import solve
-    from coadjoint.torch.library import LIBRARY, TorchFunction
+    from coadjoint.torch.library import LIBRARY, TorchFunction, check_outside_of_derivatives
     from coadjoint.torch.stage_runs import StageRun
 
+    check_outside_of_derivatives()
     ready = prepared_of(ready, method, step, "co.torch.solution")
     learned = type(ready) is PreparedRun and function_with_params(ready.system, TorchFunction, LIBRARY) is not None
     compute: Callable[..., Any]

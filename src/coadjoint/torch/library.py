@@ -210,3 +210,14 @@ class TorchFunction:
                 torch.from_numpy(np.array(y)), *(torch.tensor(float(t), dtype=torch.float64) for t in time)
             )
         return np.array(found.numpy())
+
+
+def check_outside_of_derivatives() -> None:
+    """Raise TypeError inside of a derivative of `torch.func`, where no tensor has numbers that can be read."""
+    try:
+        torch.zeros(()).numpy()
+    except RuntimeError:
+        raise TypeError(
+            "co.torch.solution was called inside of torch.func.grad, jvp or another derivative; call it before, and "
+            "the function that it returns inside"
+        ) from None

@@ -118,3 +118,12 @@ def test_fields_of_many_waves_are_warned_of_where_they_are_wrong(name, h, stages
     if found:
         error, found = error_of(int(np.ceil(h / step_of(found[0]))))
         assert error < 2 * PROMISED and not found
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_steps_whose_parts_do_not_converge_are_warned_of(steps):
+    """The wave turns by 20/3 in a step of the midpoint rule: half steps and thirds fail, and all of a step is error."""
+    s = co.systems.sphere_qg(N=24, rotation=100.0)
+    sol, found = told(lambda: co.integrate(s, s.rossby_wave(3, 2), (0, 0.2 * steps), 0.2, co.IsospectralGauss()))
+    assert len(found) == 1 and step_of(found[0]) < 0.01
+    assert sol.step_error() == 1.0
