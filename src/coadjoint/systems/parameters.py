@@ -467,9 +467,7 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
     names = arguments if system.energy_parameters is None else system.energy_parameters
     found = {name: real_numbers(arguments[name]) for name in names}
     return {
-        name: parameter(name, value)
-        for name, value in found.items()
-        if value is not None and not is_fixed(name, value)
+        name: parameter(name, value) for name, value in found.items() if value is not None and not is_fixed(name, value)
     }
 
 
