@@ -274,6 +274,23 @@ def test_each_entry_of_a_matrix_of_hamiltonians_has_a_derivative():
     assert np.abs(found).min() > 1e-4
 
 
+@pytest.mark.parametrize("force", [F.DoubleBracketDamping(0.3), F.HeatBath(0.3, temperature=0.2, seed=5)], ids=repr)
+def test_a_damping_by_a_stream_of_the_time_is_differentiated_at_its_time(force):
+    """Backward as forward, against differences of runs, whose error is d^2."""
+    g, rng, d = co.MatrixAlgebra("su", 3), np.random.default_rng(1), 1e-5
+    weights = np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 1.5], [3.0, 1.5, 1.0]])
+    pulsed = co.MatrixSystem(g, lambda W, t: (1.0 + 0.8 * np.sin(2.0 * t)) * weights * W)
+    x0, along, w = (g.projected(rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))) for _ in range(3))
+    ready, span = co.prepare(pulsed.with_forces(force), co.IsospectralGauss(), 0.1), (0.3, 0.8)
+    ahead, behind = (ready.run(x0 + sign * d * along, span).x[-1] for sign in (1, -1))
+    wanted = (ahead - behind) / (2 * d)
+    np.testing.assert_allclose(ready.jvp(x0, span, {"x0": along})[1].x[-1], wanted, rtol=0, atol=1e-7)
+    sol, pullback = ready.vjp(x0, span)
+    at_end = np.zeros_like(sol.x)
+    at_end[-1] = w
+    assert abs(np.vdot(pullback(at_end)["x0"], along).real - np.vdot(w, wanted).real) < 1e-7
+
+
 C1 = 1 / (2 - 2 ** (1 / 3))
 COMPOSED = co.Composition(co.IsospectralGauss(), (C1, 1 - 2 * C1, C1))
 

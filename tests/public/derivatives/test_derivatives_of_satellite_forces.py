@@ -1,12 +1,14 @@
 """Derivatives of runs with forces on a satellite, and sampled controllers, by all their parameters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from derivative_checks import assert_derivatives
 
 import coadjoint as co
 from long import long_where
-from satellite_forces import CASES, STEP
+from satellite_forces import CASES, LAW, PERIOD, PYRAMID, SHARE, SPIN, STEP, TENSOR, TURNED
 
 
 @pytest.mark.thinned(30)
@@ -45,3 +47,36 @@ def test_pointing_by_quaternions_about_every_axis_by_half_a_turn(turn):
     sol, pullback = end(0.5).vjp(x0, (0, 0.5))
     ends = [end(0.5 + s * h).run(x0, (0, 0.5)).x.sum() for s in (1, -1)]
     assert abs(pullback(np.ones_like(sol.x))["Pointing.stiffness"] - (ends[0] - ends[1]) / (2 * h)) < 1e-7
+
+
+LIMITED = {
+    "Thrusters": (co.forces.Thrusters(LAW, PERIOD, 0.02), {}),
+    "ControlMomentGyros": (
+        co.forces.ControlMomentGyros(LAW, PERIOD, max_rate=0.02, regularization=SHARE),
+        {"gyros": PYRAMID},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_actuators_at_their_limits_are_differentiated_behind_a_damping(name):
+    """By the damping, the limit and the law, which moves one gimbal that has not reached it, and no thruster."""
+    actuator, body = LIMITED[name]
+
+    def build(changed):
+        forces, own = [co.forces.LinearDamping(0.3), actuator], {}
+        for key, value in changed.items():
+            label, _, field = key.partition(".")
+            if not field:
+                own[key] = value
+            elif field.startswith("law."):
+                forces[1] = replace(forces[1], law=replace(forces[1].law, **{field[4:]: value}))
+            else:
+                k = label == name
+                forces[k] = replace(forces[k], **{field: value})
+        return co.systems.body(**{"inertia": TENSOR, **body, **own}).with_forces(*forces)
+
+    gradient = assert_derivatives(build, co.Splitting(), build({}).state(TURNED, SPIN), (0.0, 9 * STEP), STEP)
+    limit = "max_torque" if name == "Thrusters" else "max_rate"
+    assert gradient["LinearDamping.rate"] != 0.0 and gradient[f"{name}.{limit}"] != 0.0
+    assert np.any(gradient[f"{name}.law.stiffness"]) == np.any(gradient[f"{name}.law.damping"]) == (name != "Thrusters")

@@ -71,6 +71,19 @@ def test_runs_are_those_of_compiled_loops_of_one_and_many_members_by_vmap(name, 
         np.testing.assert_allclose(by_vmap, wanted, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "method", [co.GaussLegendre(2), co.methods.even_order(co.GaussLegendre(1), 6)], ids=["noise", "order 6"]
+)
+def test_thermal_noise_and_torques_in_time_are_those_of_compiled_loops(method):
+    """Beside a kinetic energy, where the method takes noise; of order six the torque is extrapolated."""
+    drag = co.torch.torque(lambda x, p, t: -p * torch.cos(3.0 * t) * x, np.array(0.4))
+    thermal = co.forces.Langevin((0.1, 0.2, 0.3), temperature=0.2, seed=4)
+    system = co.systems.rigid_body((1.0, 2.0, 3.0)).with_forces(*[thermal] * (method.order < 6), drag)
+    found = co.torch.solution(system, (0.5, 1.5), method=method, step=0.25)(X0)
+    wanted = co.integrate(system, X0, (0.5, 1.5), 0.25, method).x
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize(("algebra", "name"), [("so(3)", "bath"), ("so(3)", "nothing"), ("A4,10", "nothing")])
 def test_states_and_gradients_are_those_of_jax(algebra, name):
     """By params and x0, without a closed form of the exponential too; and at times between steps."""

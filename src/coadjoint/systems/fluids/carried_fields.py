@@ -181,8 +181,8 @@ class TwoLayerSystem(StackedSystem):
         J = np.zeros_like(P) if self.second_stream is None else self.second_stream(W[..., 0, :, :])
         return np.stack([P, J], axis=-3)
 
-    def slope_transposed(self, Y: Matrix) -> Matrix:
-        return self.dual(self.slope_of(self.dual(Y)))
+    def slope_transposed(self, Y: Matrix, t: float = 0.0) -> Matrix:
+        return self.dual(self.slope_of(self.dual(Y), t))
 
     def dual(self, Y: Matrix) -> Matrix:
         """Return (J, P) of (P, J): J is the derivative by the carried field, and P that by the vorticity."""

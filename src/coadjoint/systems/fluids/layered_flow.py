@@ -262,9 +262,9 @@ class LayeredQG(StackedSystem):
         """Return the integral of mu times the potential vorticity, summed over layers with their thicknesses."""
         return sphere_states.angular_momentum(self.matrices(x))[..., 2] @ self.thicknesses
 
-    def slope_transposed(self, Y: Matrix) -> Matrix:
+    def slope_transposed(self, Y: Matrix, t: float = 0.0) -> Matrix:
         weights = self.thicknesses[:, None, None]
-        return np.asarray(weights * self.slope_of(Y / weights))
+        return np.asarray(weights * self.slope_of(Y / weights, t))
 
     def dual(self, Y: Matrix) -> Matrix:
         """Return the gradient of the pairing with an element, by the thicknesses."""

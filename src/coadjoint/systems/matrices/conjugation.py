@@ -144,7 +144,7 @@ def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float)
         if not acting:
             given = given * np.array([1.0, 0.0])[:, None, None]
         b = _exchanged(system, tau * factor * system.dual(given))
-        of_stream = system.slope_transposed(_exchanged(system, bracket(M, b)))
+        of_stream = system.slope_transposed(_exchanged(system, bracket(M, b)), middle)
         return np.asarray(_exchanged(system, of_stream) - bracket(Y, b))
 
     def forward(dX: Matrix) -> Matrix:

@@ -208,9 +208,9 @@ class MatrixSystem(Immutable, System):
         """Return stream(W) for matrices (..., N, N), without the constant term."""
         return applied(self.stream, W, t)
 
-    def slope_transposed(self, Y: Matrix) -> Matrix:
+    def slope_transposed(self, Y: Matrix, t: float = 0.0) -> Matrix:
         """Return the transpose of the linear map `slope_of`, for the real inner product of entries."""
-        return self.slope_of(Y)
+        return self.slope_of(Y, t)
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
         """Return P = stream(W) + linear for matrices (..., N, N)."""
