@@ -44,7 +44,7 @@ def force_on(name: str, system: Any) -> co.forces.Force:
 FIRST_FITTING = (
     lambda: co.systems.rigid_body((1.0, 2.0, 2.5)),
     lambda: co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3), gyros=np.eye(3)[[(0, 1), (1, 2), (2, 0)]]),
-    lambda: co.systems.torus_euler(N=3),
+    lambda: co.systems.torus_euler(N=5),
     lambda: co.systems.spin_lattice("chain", 3),
 )
 

@@ -50,7 +50,8 @@ def tolerance(system, steps=STEPS):
     return steps * 8 * np.sqrt(system.algebra.N) * UNIT_ROUNDOFF
 
 
-EVERY = [name for name in co.systems.names() if co.systems.get(name).has_matrices]
+TAKEN = {name: system for name in co.systems.names() if (system := co.systems.get(name)).has_matrices}
+EVERY = [name for name, system in TAKEN.items() if not system.independent_layers]  # which are refused by name
 VARIANTS = {
     "rotating": lambda: made("sphere_euler", rotation=2.0),
     "with topography": lambda: made("sphere_qg", lamb=3.0, rotation=1.0, topography=((2, 1, 0.3, 0.0),)),
