@@ -93,9 +93,7 @@ def double(name: str, value: Any) -> Any:
     if value.dtype in (torch.int32, torch.int64):
         value = value.to(torch.float64)
     if value.dtype != torch.float64:
-        raise TypeError(
-            f"{name} has the dtype {value.dtype}; give torch.float64, which modules have by module.double()"
-        )
+        raise TypeError(f"{name} has the dtype {value.dtype}; give torch.float64{TorchLibrary.float64_hint}")
     if value.device.type != "cpu":
         raise TypeError(
             f"{name} is on the device {value.device}; runs are computed on the processor, give {name}.cpu()"

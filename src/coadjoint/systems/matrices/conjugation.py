@@ -69,7 +69,12 @@ def conjugated(system: Any, U: Matrix, X: Matrix) -> Matrix:
 
 def damping_element(system: Any, factor: float, X: Matrix, t: float) -> Matrix:
     """Return the element A of the damping X' = [A, X]: `factor` times the dual of [Y, X]."""
-    A = factor * system.dual(system.bracket(system.stream_of(X, t), X))
+    return _element(system, factor, system.bracket(system.stream_of(X, t), X))
+
+
+def _element(system: Any, factor: float, Z: Matrix) -> Matrix:
+    """Return `factor` times the dual of Z, without a layer that does not act."""
+    A = factor * system.dual(Z)
     if acting_layers(system) < len(system.matrix_shape) - 1:
         A[..., 1, :, :] = 0.0
     return np.asarray(A)
@@ -127,17 +132,12 @@ def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float)
     """Return `damped` with its derivative, by that of the equation of the midpoint."""
     # M = L X L* with L = (1 - A/2)^-1; its change is L dX L* + (Z - Z*)/2 with Z = L dA M.
     M, A = damped_midpoint(system, factor, X, t, tau)
-    Y, bracket, middle = system.stream_of(M, t + 0.5 * tau), system.bracket, t + 0.5 * tau
+    bracket, middle = system.bracket, t + 0.5 * tau
+    Y = system.stream_of(M, middle)
     L, acting = _resolvent(system, A), acting_layers(system) == len(system.matrix_shape) - 1
 
-    def element(Z: Matrix) -> Matrix:
-        A = tau * factor * system.dual(Z)
-        if not acting:
-            A[..., 1, :, :] = 0.0
-        return np.asarray(A)
-
     def change_of_element(dM: Matrix) -> Matrix:
-        return element(bracket(system.slope_of(dM, middle), M) + bracket(Y, dM))
+        return _element(system, tau * factor, bracket(system.slope_of(dM, middle), M) + bracket(Y, dM))
 
     def element_transposed(a: Matrix) -> Matrix:
         given = _exchanged(system, a)
