@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -70,19 +71,28 @@ def interrupted(call: Callable[[], Any]) -> BaseException:
 
 @contextmanager
 def interrupt_after(seconds: float) -> Iterator[None]:
-    """Send SIGINT to this process in the block, after a processor time (s)."""
-    ended, began = threading.Event(), time.process_time()
+    """Send SIGINT to this process in the block, after a processor time (s), and again if a callback ignored it."""
+    ended, began, unraisable = threading.Event(), time.process_time(), sys.unraisablehook
+    waiting = [True]
 
     def watch() -> None:
         while not ended.wait(0.002):
-            if time.process_time() - began > seconds:
+            if waiting and time.process_time() - began > seconds:
+                waiting.clear()
                 os.kill(os.getpid(), signal.SIGINT)
-                return
+
+    def ignored(what: Any) -> None:
+        if isinstance(what.exc_value, KeyboardInterrupt):
+            waiting.append(True)
+        else:
+            unraisable(what)
 
     watching = threading.Thread(target=watch)
+    sys.unraisablehook = ignored
     watching.start()
     try:
         yield
     finally:
         ended.set()
         watching.join()
+        sys.unraisablehook = unraisable

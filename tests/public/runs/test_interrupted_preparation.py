@@ -1,7 +1,7 @@
 """Interrupts during preparation: the call ends, leaves nothing behind, and the next call works.
 
-The child repeats its work until it is interrupted. It has imported before what the work needs: Python itself ignores an
-interrupt in the callbacks that release the locks of imports.
+The child repeats its work until it is interrupted. Python itself ignores an interrupt in callbacks, such as those that
+release the locks of imports: the child has imported before what the work needs, and is interrupted again after others.
 """
 
 import os
@@ -19,10 +19,12 @@ import coadjoint as co
 
 # A child that receives no signal ends, so that the test fails. Between two works it must not be interrupted.
 CHILD = """
-import faulthandler, signal, warnings
+import faulthandler, os, signal, sys, threading, warnings
 faulthandler.dump_traceback_later(120, exit=True)
 warnings.simplefilter("ignore")
 signal.signal(signal.SIGINT, signal.default_int_handler)
+interrupt = os.getpid(), signal.SIGINT
+sys.unraisablehook = lambda ignored: threading.Timer(0.01, os.kill, interrupt).start()
 import numpy as np
 import coadjoint as co
 {setting}
