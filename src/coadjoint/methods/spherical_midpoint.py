@@ -18,7 +18,7 @@ from coadjoint.program.numbers import Number
 from coadjoint.systems.coordinates import spins_in
 from coadjoint.systems.step_derivatives import LinearizedStep, dense_step
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_vector_states, schemes_for
 
 if TYPE_CHECKING:
     from coadjoint.methods.numerics.formal_series import FormalNumber
@@ -164,6 +164,6 @@ def spins_of(system: System) -> NDArray[np.int64]:
     if found is None:
         raise ValueError(
             f"SphericalMidpoint integrates spins, but {system.name} does not live on copies of so(3) in the "
-            "coordinates of the spins; take Splitting or GaussLegendre"
+            f"coordinates of the spins; take {schemes_for(system, 'Splitting or GaussLegendre')}"
         )
     return found.coordinates
