@@ -238,3 +238,17 @@ def test_the_midpoint_of_many_sites_is_solved_to_round_off(h):
         slope = system.vector_field((before + after) / 2)
         # The sum of a step, the mean of its ends, and the transforms, of some ten levels.
         assert np.abs(after - before - h * slope).max() < 16 * 2.0**-53 * (1.0 + abs(h) * np.abs(slope).max())
+
+
+def test_modes_at_all_wave_vectors_are_the_small_motions_of_the_lattice():
+    """With Ewald's sum, as strong as the single-ion anisotropy: the modes by q are those of the whole lattice."""
+    iron = co.spins.crystal(co.spins.structure("FeI2")).subcrystal("Fe")
+    system = co.systems.spins(iron, (3, 3, 2), spin=1, g=40.0, units="meV", mode="SU(N)").dipolar()
+    system = system.exchange(iron.bonds(5)["1"], -0.2).single_ion("Fe", {"B20": -1.0})
+    found = co.equilibrium(system, system.coherent((0.1, 0.0, 1.0)))
+    corners = np.array(list(np.ndindex(system.size))) / system.size
+    modes = co.spectra.linear_modes(system, found.x, corners, points=1)
+    frequencies = np.sort(modes.frequencies.ravel())
+    repeated = np.repeat(found.frequencies, len(frequencies) // len(found.frequencies))
+    assert repeated[-1] > 5.0
+    np.testing.assert_allclose(frequencies, repeated, rtol=1e-7, atol=1e-6 * frequencies[-1])
