@@ -299,8 +299,8 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
         return scipy.sparse.csr_matrix(rows, shape=(n, n)), form.linear, form.constant
     if isinstance(function, DipolarFunction):
         at, matrix = term.coordinates, function.matrix()
-        where = np.broadcast_arrays(at[:, None], at)
-        entries = (matrix.ravel(), tuple(one.ravel() for one in where))
+        rows_of, columns_of = np.broadcast_arrays(at[:, None], at)
+        entries = (matrix.ravel(), (rows_of.ravel(), columns_of.ravel()))
         return scipy.sparse.csr_matrix(entries, shape=(n, n)), np.zeros(n), 0.0
     return None
 

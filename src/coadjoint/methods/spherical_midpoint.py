@@ -92,7 +92,7 @@ class SphericalMidpoint(CompiledStepMethod):
 
     def _differentiated(
         self, system: System, x: Any, t: float, h: float
-    ) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+    ) -> tuple[Floats, Floats, tuple[NDArray[Any], NDArray[Any]]]:
         """Return one step, its derivative by the state, and its stage y with the derivative by the field there."""
         # With y = r m / s, m = x + L/2, s its length, L = h f(y): dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s.
         step, slope = self._solve(system, np.asarray(x, dtype=np.float64), t, h)

@@ -178,10 +178,10 @@ def _of_scheme(
 
     exact = names if scheme.by_stages and representation is None else ()
     nearby = nearby_parameters(system, {name: run.parameters[name] for name in names if name not in exact})
-    energies = [run.energy(name) for name in exact]
+    by_stages = [run.energy(name) for name in exact]
     sizes = {name: run.parameters[name].value.size for name in names}
     if inputs is None:
-        steps = StepwiseDerivatives(scheme, system, nearby, h, representation, energies=energies)
+        steps = StepwiseDerivatives(scheme, system, nearby, h, representation, energies=by_stages)
         return stepwise_derivatives(lambda: steps, sizes, exact)
 
     as_given = run.prepared.given_method.fixed_steps
@@ -192,7 +192,7 @@ def _of_scheme(
             at_values += changed_inputs(inputs, system, values, h)
         here = inputs.system_at(values)
         settled = partial(inputs.settled, as_given)
-        return StepwiseDerivatives(scheme, here, at_values, h, representation, settled, energies)
+        return StepwiseDerivatives(scheme, here, at_values, h, representation, settled, by_stages)
 
     tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}), exact)
     if by_inputs:

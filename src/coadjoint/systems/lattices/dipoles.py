@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.lattices.geometry import CELLS, OPEN_LATTICES, sizes_of
 
 Floats = npt.NDArray[np.float64]
@@ -328,7 +328,7 @@ class DipolesOfSites(Summable):
         return found
 
     def terms(self) -> tuple[Term, ...]:
-        return tuple(replace(term, coordinates=self._where) for term in self.energy.terms())
+        return tuple(replace(cast(FunctionTerm, one), coordinates=self._where) for one in self.energy.terms())
 
     def __repr__(self) -> str:
         return f"the {self.energy!r} of {self.dim // self.width} sites"
