@@ -70,6 +70,7 @@ class Composition(Composed):
     tangent_on = of("expanded.tangent_on")
     linearized = of("expanded.linearized")
     tangent_loop = of("expanded.tangent_loop")
+    by_stages = of("expanded.by_stages")
     differentiable = of("expanded.differentiable")
     derivative_tables = of("expanded.derivative_tables")
     formal_step = of("expanded.formal_step")

@@ -228,6 +228,11 @@ class Method(Abstract):
         return None
 
     @property
+    def by_stages(self) -> bool:
+        """Whether `linearized` has the stages by which steps are differentiated by parameters of the field."""
+        return False
+
+    @property
     def differentiable(self) -> bool:
         """Whether there are loops that differentiate whole runs, `derivative_tables`."""
         return False
