@@ -1,6 +1,7 @@
 // Expensive linear functions in a fixed point iteration, such as the fields of dipoles by FFT: their values are reused as
 // long as what the points have moved since is too little to be seen beside the last correction. The solution is that
-// without reuse, up to round-off: at the end they are evaluated, or would change the points by less than half a rounding.
+// without reuse, up to round-off: at the end they are evaluated, or are those of points that are equal up to round-off.
+// A larger distance, although it would change the points by less than half a rounding, has a sign, and energies drift.
 #pragma once
 
 #include "boundary/codes.hpp"
@@ -9,7 +10,8 @@
 namespace coadjoint {
 
 constexpr double SEEN_BESIDE = 0.5;     // part of the last correction: a larger error of reused values is seen
-constexpr double UNSEEN = 0x1p-54;      // of the size of the points
+constexpr double UNSEEN = 0x1p-53;      // of the size of the points: so far apart they are equal up to round-off
+constexpr double LARGEST_UNSEEN = 0x1p-54;  // of that size: reused values may not move points further
 constexpr double ROUNDINGS = 4.0;       // of the terms of a slope: of its factors, of the products, and of their sum
 
 // Sums of squares: how far points are from those of the last evaluation, and from the previous ones.
@@ -72,7 +74,7 @@ class LaggedFunctions {
         }
         step = absolute(factor);
         rate = norm * structure * step;
-        unseen = UNSEEN * square_root(square);
+        unseen = smaller(UNSEEN * rate, LARGEST_UNSEEN) * square_root(square);
         begun = always = measured = false;
     }
 
