@@ -61,7 +61,8 @@ def double_bracket(root: Callable[..., Any], params: Any) -> Force:
     TypeError
         As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
     ValueError
-        On the system: the root has another shape, or axes, directions or positions would be changed.
+        On the system: the root has another shape, or a part without derivative, as by ``stop_gradient``; or axes,
+        directions or positions would be changed.
 
     Notes
     -----
@@ -132,6 +133,8 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     TypeError
         The function takes other arguments; a parameter is no array, as a tensor of PyTorch or a function, or is not of
         float64, which JAX has with ``jax.config.update("jax_enable_x64", True)``.
+    ValueError
+        In a system: the energy has a part without derivative, as by ``stop_gradient``.
 
     See Also
     --------
@@ -456,7 +459,8 @@ def torque(function: Callable[..., Any], params: Any) -> Force:
     TypeError
         As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
     ValueError
-        On the system: the values have another shape, or axes, directions or positions would be changed.
+        On the system: the values have another shape, or a part without derivative, as by ``stop_gradient``; or axes,
+        directions or positions would be changed.
 
     Notes
     -----

@@ -51,7 +51,7 @@ def double_bracket(root: Callable[..., Any], params: Any = None) -> Force:
     TypeError
         As `energy`. On the system: the function fails, or the system has no structure constants.
     ValueError
-        On the system: the root has another shape.
+        On the system: the root has another shape, is random, or has a part without derivative, as by ``detach``.
 
     Notes
     -----
@@ -112,7 +112,8 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
         The function takes other arguments or returns no number of float64, or a parameter is not of float64, which
         modules have by ``module.double()``.
     ValueError
-        In a system: the energy is not that of a state of its dimension.
+        In a system: the energy is not that of a state of its dimension, is random, such as a module with active
+        dropout, or has a part without derivative, as by ``detach``.
 
     See Also
     --------
@@ -338,7 +339,8 @@ def torque(function: Callable[..., Any], params: Any = None) -> Force:
     TypeError
         As `energy`. On the system: the function fails, or the system has no structure constants.
     ValueError
-        On the system: the values have another shape, or axes, directions or positions would be changed.
+        On the system: the values have another shape, are random, or have a part without derivative, as by ``detach``;
+        or axes, directions or positions would be changed.
 
     Notes
     -----

@@ -394,6 +394,10 @@ LEARNED = {
         ["x0", "[0.0, 0.5, 1.0]", "second derivative", "inf"],
     ),
     "tensor x0": (lambda: run_of()(OfTorch()), TypeError, ["x0", "PyTorch", "co.torch"]),
+    "stop_gradient": (
+        lambda: bound(co.jax.energy(lambda x, p: p @ x**2 * jax.lax.stop_gradient(x)[0], np.ones(3))), ValueError,
+        ["gradient contradicts value", "stop_gradient"],
+    ),
     "module H": (lambda: bound(OfTorch()), TypeError, ["PyTorch", "co.torch.energy"]),
 }  # fmt: skip
 
