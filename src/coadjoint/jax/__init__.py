@@ -363,6 +363,12 @@ def solution(
 
     Notes
     -----
+    The first run warns of a step that is too large, as `integrate` does: of the members and steps of a compiled run, of
+    which with ``backend="xla"`` the first 64 and, of matrices and of functions called in Python such as those of
+    `energy`, the first 100 steps (and 8 members) are taken. With ``backend="xla"`` this is the first run outside of
+    ``jit`` and ``vmap``, without noise, and at the params of the system: other params, and flows of `features`, are
+    checked for NaN only. Give a system of the learned params to `integrate` to check their step.
+
     ``vmap`` over initial states makes one ensemble, the members of which are integrated side by side. Over parameters
     the runs follow one after the other. Second derivatives are not available. With ``backend="xla"`` they are, and
     `vmap` makes one ensemble in all cases.

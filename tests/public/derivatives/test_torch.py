@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -397,6 +398,23 @@ def test_casimirs_stay_and_steps_without_stages_are_nan():
     assert found[-1, :2].isfinite().all() and found[-1, 2].isnan().all()
     by_vmap = torch.func.vmap(lambda x0: run(x0, params=params), out_dims=1)  # whose numbers are not known: no warning
     assert torch.equal(by_vmap(many).isnan(), found.isnan())
+
+
+def test_first_runs_warn_of_a_large_step():
+    """At the params of the system, given or not; not at others, of slow motions and of features."""
+    params = torch.tensor([1.0, 0.5, 0.4], dtype=torch.float64)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(lambda x, params: x @ (params * x) / 2, params))
+    for given in ({}, {"params": params}):
+        run, slow = (co.torch.solution(system, (0, 80), method=co.GaussLegendre(1), step=2.0) for _ in range(2))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", co.LargeStepWarning)
+            run(MANY[:1], params=1.01 * params)
+            slow(2.0**-6 * X0)
+            with pytest.warns(co.LargeStepWarning, match="the step 2 is too large"):
+                run(MANY[:1], **given)
+            run(MANY[:1], **given)
+    explicit = body(co.torch.features(feature, *feature_params(3)), method=co.Splitting(), step=1.0)
+    torch.testing.assert_close((explicit(X0) ** 2).sum(1), torch.full((2,), X0 @ X0, dtype=torch.float64))
 
 
 def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
