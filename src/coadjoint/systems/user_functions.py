@@ -338,9 +338,8 @@ def check_derivative(
         raise ValueError(f"{names[0]} or {names[1]} fails at every sample point ({failure}); correct the function")
     if is_automatic and len(contradictions) >= min(2, len(points)):
         raise ValueError(
-            f"{contradictions[0]}; the automatic {names[1]} lacks what the function hides from it by detach, no_grad, "
-            ""
-            "stop_gradient or the like, or is lost in a lower precision"
+            f"{contradictions[0]}; the automatic {names[1]} is incomplete: the function hides a part of itself by "
+            "detach, no_grad, stop_gradient or the like, or computes in a lower precision"
         )
     if contradictions and not is_automatic:
         raise ValueError(f"{contradictions[0]}; correct the one that is wrong")

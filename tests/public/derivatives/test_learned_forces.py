@@ -235,6 +235,10 @@ def matrices():
     return co.systems.sphere_euler(N=4)
 
 
+half_of_slope = jax.custom_vjp(lambda x: x**2)
+half_of_slope.defvjp(lambda x: (x**2, x), lambda x, cotangent: (cotangent * x,))
+
+
 REFUSED = {
     "no function": (lambda: co.jax.torque(3.0, {}), TypeError, ["co.jax.torque", "N(x, params)"]),
     "params, x": (lambda: co.jax.double_bracket(lambda params, x: x, {}), TypeError, ["(x, params)", "this order"]),
@@ -248,6 +252,10 @@ REFUSED = {
     "stop_gradient": (
         lambda: with_force(co.jax.torque(lambda x, p: -jnp.sum(jax.lax.stop_gradient(x) ** 2) * x, {})), ValueError,
         ["torque", "contradicts", "stop_gradient"],
+    ),
+    "custom_vjp": (
+        lambda: with_force(co.jax.torque(lambda x, p: -p * half_of_slope(x), np.array(0.1))), ValueError,
+        ["torque", "contradicts", "incomplete"],
     ),
     "axis": (
         lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["direction"]
