@@ -227,10 +227,14 @@ class Method(Abstract):
         """Return the loop that carries tangent vectors, with the same bits of states; None: `tangent` is called."""
         return None
 
-    @property
-    def differentiable(self) -> bool:
-        """Whether there are loops that differentiate whole runs, `derivative_tables`."""
+    def differentiates(self, system: System) -> bool:
+        """Whether there are loops that differentiate whole runs of a system, `derivative_tables`."""
         return False
+
+    @property
+    def stored_states(self) -> int:
+        """States in memory for each step of a segment that is differentiated backward."""
+        return 1
 
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
