@@ -263,6 +263,25 @@ class StepDerivative final : public SkewStep<T> {
         this->load_stream(INVERSE, reinterpret_cast<const T*>(images.data() + i * numbers), 1.0);
     }
 
+    // The largest number on and above the diagonals of matrices, and of the product that `move` computed last.
+    double largest_above(const double* X) const {
+        double most = 0.0;
+        for (int64_t row = 0; row < layers * n; ++row) {
+            const double* const from = X + PARTS * (row * n + row % n);
+            keep_larger(most, largest_of(PARTS * (n - row % n), [=](int64_t k) { return from[k]; }));
+        }
+        return most;
+    }
+    double largest_product() {
+        double most = 0.0;
+        for (int64_t l = 0; l < layers; ++l)
+            for (int64_t p = 0; p < PARTS; ++p) {
+                const double* const Y = whole(stages == 1 ? SECOND : FIRST, l).plane[p];
+                keep_larger(most, shared_largest(square, [=](int64_t e) { return Y[e]; }));
+            }
+        return most;
+    }
+
     // The pairing of what the stream of a stage read last with `image`, of which entries below the diagonal may be left
     // out.
     double paired_with_image(int64_t i) const {
@@ -332,6 +351,9 @@ class StepDerivative final : public SkewStep<T> {
                                 return moved;
                             }));
                 keep_larger(size, largest_of(numbers, [=](int64_t k) { return own[k]; }));
+                // Where Y - Y* cancels, its rounding is relative to Y.
+                const double left = largest_above(reinterpret_cast<const double*>(G.data()));
+                if (left > 0.0) size = std::max(size, largest_product() / left * largest_above(next));
             }
             const double shrunk = this->iterations > 0 ? std::min(GROWN * change / before, 1.0) : 1.0;
             if (this->ended(change, size) || change * shrunk <= LAST_DIGIT * size) break;
