@@ -25,7 +25,7 @@ enum SlopeIndex { COEFFICIENTS = GENERAL + 1, SLOPES, SLOPE_NUMBERS, SLOPE_SIZE,
 constexpr int64_t REAL = 1, TRACELESS = 2;
 
 template <class T>
-class StepDerivative final : public SkewStep<T> {
+class StepDerivative final : public SkewStep<T>, public Kept {
     typedef SkewStep<T> Base;
     using Base::n, Base::square, Base::all, Base::numbers, Base::stages, Base::stream, Base::PARTS, Base::LAST_DIGIT;
     using Base::GROWN, Base::layers, Base::moving, Base::STATE, Base::INVERSE, Base::FIRST, Base::SECOND, Base::whole;
@@ -38,13 +38,20 @@ class StepDerivative final : public SkewStep<T> {
     const StepTables& tables;
     std::unique_ptr<StepScheme> scheme;
     std::deque<Stream<T>> slopes;
-    std::vector<double> step_memory, images, points, given;  // of all stages: dP or m, and what their streams read
+    std::vector<double> images, points, given;  // of all stages: dP or m, and what their streams read
     std::vector<T> row;
     struct History {
         int64_t count = 0;
         std::vector<double> rows;
     };
-    std::vector<History> histories;
+    // Of a member: the memory of its steps, and the last solutions for its first vectors.
+    struct Past {
+        std::vector<double> steps;
+        std::vector<History> of_vectors;
+    };
+    std::vector<Past> pasts;
+    Past* past = nullptr;
+    const int64_t vectors;
 
   public:
     const int64_t coefficients, held;  // held: numbers of Z of a step
@@ -53,19 +60,24 @@ class StepDerivative final : public SkewStep<T> {
         : Base(stepping.tables, FIRST_STAGE + OF_STAGE * stepping.tables.whole[STAGES]), tables(stepping.tables),
           scheme(reinterpret_cast<StepScheme* (*)(const StepTables&, const MemberConstants&)>(stepping.step[0])(
               tables, MemberConstants{1, 0})),
-          images(stages * numbers), points(images), given(images), row(all),
-          histories(std::min(vectors, MOST_HISTORIES)), coefficients(tables.whole[COEFFICIENTS]),
+          images(stages * numbers), points(images), given(images), row(all), vectors(std::min(vectors, MOST_HISTORIES)),
+          coefficients(tables.whole[COEFFICIENTS]),
           held(stages * moving * PARTS * square) {
         std::vector<int64_t> with_constant(tables.whole, tables.whole + GEMM);
         with_constant[4] = 1;
         for (int64_t k = 0; k < tables.whole[SLOPES]; ++k) slopes.emplace_back(with_constant.data(), slope(k) + 1);
-        for (History& one : histories) one.rows.resize(HISTORY * images.size());
     }
 
-    void begin() {
-        step_memory.assign(scheme->memory_size, std::numeric_limits<double>::quiet_NaN());
-        scheme->memory = step_memory.data();
-        for (History& one : histories) one.count = 0;
+    // Begin with a member, or continue with one of those that are `kept`.
+    void begin(int64_t member, bool kept) {
+        const size_t known = pasts.size();
+        pasts.resize(kept ? std::max<size_t>(known, member + 1) : 1);
+        for (size_t k = kept ? known : 0; k < pasts.size(); ++k) {
+            pasts[k].steps.assign(scheme->memory_size, std::numeric_limits<double>::quiet_NaN());
+            pasts[k].of_vectors.assign(vectors, {});
+        }
+        past = &pasts[kept ? member : 0];
+        scheme->memory = past->steps.data();
     }
 
     // Take a step, and store its Z.
@@ -113,7 +125,7 @@ class StepDerivative final : public SkewStep<T> {
         }
         for (int64_t i = 0; i < stages; ++i)
             set_combination(at(i, GIVEN), -4.0 * h * this->a[i * stages + i], SECOND, 0.0, SECOND, layers);
-        solve(h, true, histories[0]);
+        solve(h, true, &past->of_vectors[0]);
         for (int64_t i = 0; i < stages; ++i)
             each_slope(i, [&](int64_t coefficient, double factor) {
                 by_coefficients[coefficient] += factor * paired_with_image(i);
@@ -144,8 +156,7 @@ class StepDerivative final : public SkewStep<T> {
                 });
             set_combination(at(i, GIVEN), 0.0, STATE, 0.0, STATE, layers);
         }
-        History none;
-        solve(h, false, number < int64_t(histories.size()) ? histories[number] : none);
+        solve(h, false, number < vectors ? &past->of_vectors[number] : nullptr);
         set_combination(SUM, 0.0, STATE, 0.0, STATE, layers);
         for (int64_t i = 0; i < stages; ++i) {
             double factor = 2.0;
@@ -323,16 +334,16 @@ class StepDerivative final : public SkewStep<T> {
     }
 
     // Solve the linear equations of the stages, from a prediction.
-    void solve(double h, bool backward, History& history) {
+    void solve(double h, bool backward, History* history) {
         const int64_t size_of_all = stages * numbers;
-        const auto past = [&](int64_t j) -> const double* {
-            return history.rows.data() + (history.count - 1 - j) % HISTORY * size_of_all;
+        const auto earlier = [&](int64_t j) -> const double* {
+            return history->rows.data() + (history->count - 1 - j) % HISTORY * size_of_all;
         };
         std::fill(images.begin(), images.end(), 0.0);
-        if (history.count > 0) {
+        if (history && history->count > 0) {
             double factor[HISTORY];
-            const int64_t known = std::min(history.count, HISTORY);
-            add_rows(size_of_all, fit_rows(size_of_all, known, past, factor), past, factor, images.data());
+            const int64_t known = std::min(history->count, HISTORY);
+            add_rows(size_of_all, fit_rows(size_of_all, known, earlier, factor), earlier, factor, images.data());
         }
         for (int64_t i = 0; i < stages; ++i)
             set_combination(at(i, UNKNOWN), 0.0, at(i, GIVEN), 0.0, at(i, GIVEN), layers);
@@ -360,8 +371,9 @@ class StepDerivative final : public SkewStep<T> {
             before = change;
         }
         if (this->status != DONE) throw NotSolved();
-        if (history.rows.empty()) return;
-        std::copy_n(images.data(), size_of_all, history.rows.data() + history.count++ % HISTORY * size_of_all);
+        if (!history) return;
+        history->rows.resize(HISTORY * size_of_all);
+        std::copy_n(images.data(), size_of_all, history->rows.data() + history->count++ % HISTORY * size_of_all);
     }
 
     // G := what the stream of a stage reads, for the unknowns so far.
@@ -398,9 +410,12 @@ void each_substep(const Stepping& tables, const Run& run, int64_t k, bool backwa
 }
 
 template <class T>
-int64_t carry_forward_of(const Stepping& tables, const ForwardRun& run, int64_t first, int64_t last,
-                         InterruptCheck& interrupts) {
-    StepDerivative<T> one(tables, run.carried);
+int64_t carry_of(const Stepping& tables, const ForwardRun& run, int64_t first, int64_t last,
+                 InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
+    std::unique_ptr<Kept> own;
+    std::unique_ptr<Kept>& found = kept ? *kept : own;
+    if (!found) found.reset(new StepDerivative<T>(tables, run.carried));
+    StepDerivative<T>& one = static_cast<StepDerivative<T>&>(*found);
     const int64_t n = run.size, count = one.coefficients;
     AlignedArray<double> x((n + 7) / 8 * 8), dx((n + 7) / 8 * 8);
     std::vector<double> before(n), changes(one.held);
@@ -408,7 +423,7 @@ int64_t carry_forward_of(const Stepping& tables, const ForwardRun& run, int64_t 
         const double* const directions = run.coefficients + (run.apart ? member * run.carried * count : 0);
         double* const vectors = run.tangents + member * run.carried * n;
         std::copy_n(run.momenta + member * n, n, x.at), std::copy_n(run.errors + member * n, n, dx.at);
-        one.begin();
+        one.begin(member, kept != nullptr);
         int64_t mark = 0;
         SharedSteps shared_steps(run.threads, n);
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
@@ -431,15 +446,18 @@ int64_t carry_forward_of(const Stepping& tables, const ForwardRun& run, int64_t 
 }
 
 template <class T>
-int64_t carry_backward_of(const Stepping& tables, const BackwardRun& run, int64_t first, int64_t last,
-                          InterruptCheck& interrupts) {
-    StepDerivative<T> one(tables, 1);
+int64_t carry_of(const Stepping& tables, const BackwardRun& run, int64_t first, int64_t last,
+                 InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
+    std::unique_ptr<Kept> own;
+    std::unique_ptr<Kept>& found = kept ? *kept : own;
+    if (!found) found.reset(new StepDerivative<T>(tables, 1));
+    StepDerivative<T>& one = static_cast<StepDerivative<T>&>(*found);
     const int64_t n = run.size, count = one.coefficients, total = (run.k1 - run.k0) * tables.substeps;
     AlignedArray<double> x((n + 7) / 8 * 8), dx((n + 7) / 8 * 8);
     std::vector<double> states(total * n), changes(total * one.held);
     for (int64_t member = first; member < last; ++member) {
         std::copy_n(run.momenta + member * n, n, x.at), std::copy_n(run.errors + member * n, n, dx.at);
-        one.begin();
+        one.begin(member, kept != nullptr);
         SharedSteps shared_steps(run.threads, n);
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             shared_steps.begin();
@@ -470,36 +488,22 @@ int64_t carry_backward_of(const Stepping& tables, const BackwardRun& run, int64_
     return 0;
 }
 
-template <class Carry>
-int64_t solved(const Carry& carry) {
+template <class Run>
+int64_t carry(const Stepping& tables, const Run& run, int64_t first, int64_t last, InterruptCheck& interrupts,
+              std::unique_ptr<Kept>* kept) {
     return outcome_of([&]() -> int64_t {
         try {
-            return carry();
+            return tables.tables.whole[COMPLEX] ? carry_of<Complex>(tables, run, first, last, interrupts, kept)
+                                                : carry_of<double>(tables, run, first, last, interrupts, kept);
         } catch (const NotSolved&) {
             return UNSOLVED;
         }
     });
 }
 
-int64_t carry_forward(const Stepping& tables, const ForwardRun& run, int64_t first, int64_t last,
-                      InterruptCheck& interrupts) {
-    return solved([&] {
-        return tables.tables.whole[COMPLEX] ? carry_forward_of<Complex>(tables, run, first, last, interrupts)
-                                            : carry_forward_of<double>(tables, run, first, last, interrupts);
-    });
-}
-
-int64_t carry_backward(const Stepping& tables, const BackwardRun& run, int64_t first, int64_t last,
-                       InterruptCheck& interrupts) {
-    return solved([&] {
-        return tables.tables.whole[COMPLEX] ? carry_backward_of<Complex>(tables, run, first, last, interrupts)
-                                            : carry_backward_of<double>(tables, run, first, last, interrupts);
-    });
-}
-
 }  // namespace
 
-EXPORT_DERIVATIVES(isospectral_directions, Stepping, ForwardRun, carry_forward)
-EXPORT_DERIVATIVES(isospectral_cotangents, Stepping, BackwardRun, carry_backward)
+EXPORT_DERIVATIVES(isospectral_directions, Stepping, ForwardRun, carry<ForwardRun>)
+EXPORT_DERIVATIVES(isospectral_cotangents, Stepping, BackwardRun, carry<BackwardRun>)
 
 }  // namespace coadjoint
