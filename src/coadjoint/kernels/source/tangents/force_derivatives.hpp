@@ -1,6 +1,8 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include <map>
+
 #include "tangents/decay_derivatives.hpp"
 #include "tangents/law_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
@@ -45,6 +47,7 @@ class ForceDerivative {
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
         for (int64_t k = 0; k < NODES * table.moved; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
+        slopes.resize(modes ? table.moved : 0);
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
@@ -140,6 +143,12 @@ class ForceDerivative {
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
     std::vector<std::unique_ptr<Force>> nearby;
+    // The derivative by a moved parameter of the flow of modes in a time: of each mode, and of the state zero.
+    struct ModeSlope {
+        std::vector<Complex> factors;
+        std::vector<double> constant;
+    };
+    std::vector<std::map<double, ModeSlope>> slopes;
     std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
     const int64_t square;  // numbers of the element of the group, its value at a node, and its derivative
     std::vector<double> turned, turned_by;
@@ -330,6 +339,13 @@ class ForceDerivative {
     // Set `sum` to the derivative of the flow by the moved parameter k, of order eight, unless the value at zero that belongs
     // to it is not that of the flow, so that nearer ones are taken in Python; and `turned_by` to that of the element.
     void difference(const FlowTime& at, const double* x, const double* end, int64_t k, const double* element) {
+        if (modes) {
+            const ModeSlope& slope = slope_of(at, k);
+            if (!slope.factors.empty()) {
+                sum = slope.constant;
+                return modes->add(slope.factors, x, sum.data());
+            }
+        }
         std::fill(sum.begin(), sum.end(), 0.0);
         std::fill(turned_by.begin(), turned_by.end(), 0.0);
         beside.assign(n, 0.0);
@@ -356,6 +372,37 @@ class ForceDerivative {
         }
         if (element) throw NotDifferentiated();
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
+    }
+
+    // The derivative of the flow of modes by the moved parameter k, without factors where these are not found.
+    const ModeSlope& slope_of(const FlowTime& at, int64_t k) {
+        const auto known = slopes[k].find(at.tau);
+        if (known != slopes[k].end()) return known->second;
+        ModeSlope& slope = slopes[k][at.tau];
+        const std::vector<Complex> own = modes->factors(at.tau);
+        std::vector<Complex> change(own.size()), middle(own.size());
+        std::vector<double> constant(n), zero(n);
+        for (int64_t node = 0; node < NODES; ++node) {
+            Force& flow = *nearby[k * NODES + node];
+            if (!modes->has_modes_of(flow.table)) return slope;
+            const std::vector<Complex> there = ModeForce(flow.table).factors(at.tau);
+            const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            move(flow, at, zero.data(), moved);
+            for (int64_t i = 0; i < n; ++i) constant[i] += weight / table.distance[k] * moved[i];
+            for (size_t e = 0; e < own.size(); ++e) {
+                change[e] += weight * there[e];
+                middle[e] += AT_ZERO[node / 2] * there[e];
+            }
+        }
+        double off = 0.0, most = 0.0, size = 0.0;
+        for (size_t e = 0; e < own.size(); ++e) {
+            off = larger(off, std::abs(middle[e] - own[e]));
+            most = larger(most, std::abs(change[e]));
+            size = larger(size, std::abs(own[e]));
+            change[e] /= table.distance[k];
+        }
+        if (off <= SMOOTH * most + ROUNDING * size) slope = {std::move(change), std::move(constant)};
+        return slope;
     }
 
     void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to, double* element = nullptr) {
