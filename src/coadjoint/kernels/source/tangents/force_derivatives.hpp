@@ -143,8 +143,10 @@ class ForceDerivative {
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
     std::vector<std::unique_ptr<Force>> nearby;
-    // The derivative by a moved parameter of the flow of modes in a time: of each mode, and of the state zero.
+    // The derivative by a moved parameter of the flow of modes in a time: of each mode, if some change, and of the state
+    // zero.
     struct ModeSlope {
+        bool known = false;
         std::vector<Complex> factors;
         std::vector<double> constant;
     };
@@ -341,9 +343,10 @@ class ForceDerivative {
     void difference(const FlowTime& at, const double* x, const double* end, int64_t k, const double* element) {
         if (modes) {
             const ModeSlope& slope = slope_of(at, k);
-            if (!slope.factors.empty()) {
+            if (slope.known) {
                 sum = slope.constant;
-                return modes->add(slope.factors, x, sum.data());
+                if (!slope.factors.empty()) modes->add(slope.factors, x, sum.data());
+                return;
             }
         }
         std::fill(sum.begin(), sum.end(), 0.0);
@@ -374,7 +377,7 @@ class ForceDerivative {
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
     }
 
-    // The derivative of the flow of modes by the moved parameter k, without factors where these are not found.
+    // The derivative of the flow of modes by the moved parameter k; not known where it is not smooth.
     const ModeSlope& slope_of(const FlowTime& at, int64_t k) {
         const auto known = slopes[k].find(at.tau);
         if (known != slopes[k].end()) return known->second;
@@ -401,7 +404,8 @@ class ForceDerivative {
             size = larger(size, std::abs(own[e]));
             change[e] /= table.distance[k];
         }
-        if (off <= SMOOTH * most + ROUNDING * size) slope = {std::move(change), std::move(constant)};
+        if (most == 0.0) change.clear();
+        if (off <= SMOOTH * most + ROUNDING * size) slope = {true, std::move(change), std::move(constant)};
         return slope;
     }
 
