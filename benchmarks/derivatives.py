@@ -165,7 +165,7 @@ def of_matrices(steps: int, rounds: int) -> None:
             ready.jvp(x0, span, {"x0": x0}, save_every=steps)
 
         def gradient(ready=ready, x0=x0, span=span):
-            sol, pullback = ready.vjp(x0, span, save_every=steps)
+            _, pullback = ready.vjp(x0, span, save_every=steps)
             pullback(x=np.array([np.zeros_like(x0), x0]))
 
         gradient()

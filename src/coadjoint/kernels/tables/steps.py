@@ -288,7 +288,9 @@ def _stream_numbers(system: Any) -> NDArray[np.float64]:
     return numbers if system.linear is not None else np.concatenate([np.zeros(system.dim), numbers])
 
 
-def with_slopes(tables: CompiledTables, system: Any, slopes: Sequence[StreamSlope], coefficients: int) -> CompiledTables:
+def with_slopes(
+    tables: CompiledTables, system: Any, slopes: Sequence[StreamSlope], coefficients: int
+) -> CompiledTables:
     """Return the tables of a step of skew-Hermitian matrices with what its derivatives read."""
     step = tables.tables.tables
     blocks = [

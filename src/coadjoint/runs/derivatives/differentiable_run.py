@@ -203,7 +203,8 @@ class Trajectory:
         length = max(length, min(STEPS_OF_SEGMENT, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
         check_available_memory(
-            bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * (scheme.stored_states * min(length, steps) + 1),
+            bytes_of_each * (steps // length + 1)
+            + 8 * numbers * lanes * (scheme.stored_states * min(length, steps) + 1),
             f"the states of {steps} steps of {self.members} members, from which they are repeated,",
         )
         return length

@@ -45,7 +45,8 @@ class ForceDerivative {
             orbit.reset(new OrbitDerivative(force, tables.field, table));
         if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
-        for (int64_t k = 0; k < NODES * table.moved; ++k)
+        by_nodes = decay && force.extent ? 0 : table.moved;  // the stream of a decay of matrices is differentiated
+        for (int64_t k = 0; k < NODES * by_nodes; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
         slopes.resize(modes ? table.moved : 0);
     }
@@ -74,7 +75,7 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
-        for (int64_t k = 0; k < table.moved; ++k) {
+        for (int64_t k = 0; k < by_nodes; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
@@ -103,7 +104,7 @@ class ForceDerivative {
             images[v] = 0.0;
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
-        for (int64_t k = 0; k < table.moved; ++k) {
+        for (int64_t k = 0; k < by_nodes; ++k) {
             difference(at, x, end, k, element);
             double& to = own[table.own + k];
             for (int64_t i = 0; i < n; ++i) to = fma(sum[i], row[i], to);
@@ -142,6 +143,7 @@ class ForceDerivative {
     std::unique_ptr<DecayDerivative> decay;
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
+    int64_t by_nodes = 0;  // moved parameters of which flows at nodes are taken
     std::vector<std::unique_ptr<Force>> nearby;
     // The derivative by a moved parameter of the flow of modes in a time: of each mode, if some change, and of the state
     // zero.
