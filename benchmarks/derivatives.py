@@ -2,11 +2,13 @@
 
     python benchmarks/derivatives.py [--steps N] [--rounds N]
     python benchmarks/derivatives.py --forces [NAME ...] [--steps N] [--rounds N]
+    python benchmarks/derivatives.py --matrices [--steps N] [--rounds N]
     python benchmarks/derivatives.py --lattice 200 [--threads 1 2] [--rounds N]
 
 Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
 by the initial state and all parameters; its time contains the run. With --forces, runs with each registered force, or
-those named, by processor time. With --lattice, those of one square lattice of spins in turns on each number of threads.
+those named, by processor time. With --matrices, runs of fluids and a body as matrices, without and with forces, by
+processor time. With --lattice, those of one square lattice of spins in turns on each number of threads.
 """
 
 from __future__ import annotations
@@ -128,6 +130,49 @@ def of_forces(steps: int, rounds: int, wanted: list[str]) -> None:
         print(row + f"{by_gradient / plain:10.1f}{ratio:15.2f}", flush=True)
 
 
+def of_matrices(steps: int, rounds: int) -> None:
+    """Print processor times of runs of matrices, and of derivatives in these: along one direction, and gradients."""
+    from coadjoint import forces as F
+    from coadjoint import systems as S
+
+    sphere, shallow = S.sphere_euler(N=32), S.sphere_qg(N=32, lamb=2.0, gamma=0.5, rotation=0.5)
+    one, two, three = (co.IsospectralGauss(s) for s in (1, 2, 3))
+    rows = {
+        "sphere, N = 16": (S.sphere_euler(N=16), one),
+        "sphere, N = 32": (sphere, one),
+        "sphere, N = 64": (S.sphere_euler(N=64), one),
+        "sphere, N = 32, two stages": (sphere, two),
+        "sphere, N = 32, three stages": (sphere, three),
+        "shallow fluid, N = 32": (shallow, one),
+        "magnetic field, N = 32": (S.reduced_mhd(N=32), one),
+        "body, N = 16": (S.matrix_body(tuple(np.linspace(1.0, 3.0, 16).tolist())), one),
+        "Friction, N = 32": (sphere.with_forces(F.Friction(0.1)), one),
+        "Viscosity, N = 32": (sphere.with_forces(F.Viscosity(0.01)), one),
+        "SelectiveDecay, N = 32": (sphere.with_forces(F.SelectiveDecay(0.1)), one),
+        "DoubleBracketDamping, N = 16": (S.sphere_euler(N=16).with_forces(F.DoubleBracketDamping(0.1)), one),
+    }
+    print(f"{'matrices':32s} us/step  tangent  gradient")
+    for name, (system, method) in rows.items():
+        entries = np.random.default_rng(1).standard_normal((2, *system.shape))
+        x0 = system.unforced.algebra.projected(entries[0] + (1j * entries[1] if system.complex else 0.0))
+        x0 /= np.linalg.norm(x0[0] if x0.ndim == 3 else x0, 2)
+        ready, span = co.prepare(system, method, 0.05, threads=1), (0.0, 0.05 * steps)
+
+        def run(ready=ready, x0=x0, span=span):
+            ready.run(x0, span, save_every=steps)
+
+        def tangent(ready=ready, x0=x0, span=span):
+            ready.jvp(x0, span, {"x0": x0}, save_every=steps)
+
+        def gradient(ready=ready, x0=x0, span=span):
+            _, pullback = ready.vjp(x0, span, save_every=steps)
+            pullback(x=np.array([np.zeros_like(x0), x0]))
+
+        gradient()
+        plain, one_tangent, by_gradient = best(rounds, run, tangent, gradient, clock=process_time)
+        print(f"{name:32s}{1e6 * plain / steps:8.1f}{one_tangent / plain:9.1f}{by_gradient / plain:10.1f}", flush=True)
+
+
 def of_lattice(side: int, threads: list[int], rounds: int) -> None:
     """Print times of runs, tangents along one direction and gradients of lattices of equal and of unequal couplings."""
     rng = np.random.default_rng(1)
@@ -171,11 +216,15 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--forces", nargs="*", metavar="NAME", help="runs with each force, or those named")
+    parser.add_argument("--matrices", action="store_true", help="runs of matrices")
     parser.add_argument("--lattice", type=int, metavar="SIDE", help="spins on a side of a square lattice")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="with --lattice")
     given = parser.parse_args()
     if given.lattice:
         of_lattice(given.lattice, given.threads, given.rounds)
+        return
+    if given.matrices:
+        of_matrices(min(given.steps, 200), given.rounds)
         return
     if given.forces is not None:
         of_forces(min(given.steps, 5000), given.rounds, given.forces)

@@ -180,6 +180,11 @@ class Forced(Wrapper):
         return self._substeps[1]
 
     @property
+    def stored_states(self) -> int:
+        """Those before and after the flows of forces in each substep, and those of a step of the base."""
+        return 3 * len(self.fractions) + self.base.stored_states
+
+    @property
     def order(self) -> int:
         """At most two, the order of the symmetric splitting, or that of its composition."""
         return min(self.base.order, _order_of_composition(self.fractions))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from ctypes import c_double, c_int64
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
+from coadjoint.kernels.tables.steps import STEP_LOOP, StreamSlope, matrix_tables, stream_slopes, with_slopes
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
 from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work, work_of_products
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.system import System
@@ -104,6 +106,45 @@ class IsospectralGauss(SubstepMethod):
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
         return loop_over(STEP_LOOP, tables)
+
+    def differentiates(self, system: System) -> bool:
+        """Whether matrices are skew-Hermitian, and their stream is no function."""
+        matrices: Any = system
+        return bool(system.has_matrices and matrices.algebra.skew and matrices.stream.kind != "BY_FUNCTION")
+
+    @property
+    def stored_states(self) -> int:
+        return 1 + self.stages
+
+    def derivative_tables_of_substeps(
+        self,
+        system: System,
+        h: float,
+        representation: Representation,
+        energies: Mapping[str, Any],
+        fractions: Sequence[float],
+    ) -> DerivativeTables:
+        if not self.differentiates(system):
+            return super().derivative_tables_of_substeps(system, h, representation, energies, fractions)
+        coefficients, slopes, count = {}, list[StreamSlope](), 0
+        for name, energy in energies.items():
+            entries = np.arange(energy.size)
+            coefficients[name] = Multiples(count + entries, entries, np.ones(energy.size))
+            for nearby in energy.nearby:
+                slopes += stream_slopes(count, nearby)
+                count += 1
+        loop = self.loop_of_substeps(system, h, representation, fractions)
+        built = with_slopes(loop, system, slopes, count)
+        return DerivativeTables(
+            tables_at=lambda step: built.tables,
+            keepalive=built.keepalive,
+            forward="isospectral_directions",
+            backward="isospectral_cotangents",
+            coefficient_count=count,
+            coefficients=coefficients,
+            factors=dict.fromkeys(energies, NO_MULTIPLES),
+            rules=dict.fromkeys(energies, DIFFERENCES),
+        )
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""

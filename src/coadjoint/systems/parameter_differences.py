@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -72,11 +72,11 @@ class NearbySystems:
         except (TypeError, ValueError):
             return None
 
-    def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
-        """Return the derivative of a function of the system by the entry, with about twelve digits."""
-        distance, found, refusal = self._distance, None, None
-        for _ in range(MOST_DISTANCES):
-            by, distance = NODES * distance, NEARER * distance
+    def sides(self) -> Iterator[tuple[float, list[list[Any]]]]:
+        """Yield distances, the largest first, and the systems at the nodes on both sides; ValueError if none exist."""
+        refusal, accepted = None, False
+        for distance in self._distance * NEARER ** np.arange(MOST_DISTANCES):
+            by = NODES * distance
             try:
                 with warnings.catch_warnings():  # of values that the user did not give
                     warnings.simplefilter("ignore")
@@ -84,17 +84,24 @@ class NearbySystems:
             except (TypeError, ValueError) as reason:
                 refusal = reason
                 continue
+            accepted = True
+            yield float(distance), systems
+        if not accepted:
+            raise ValueError(
+                f"{self._name} cannot be differentiated, since values near this one are refused: {refusal}"
+            )
+
+    def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
+        """Return the derivative of a function of the system by the entry, with about twelve digits."""
+        found = np.zeros(0)
+        for distance, systems in self.sides():
             plus, minus = (np.array([function(system) for system in side]) for side in systems)
             change = np.tensordot(WEIGHTS, plus - minus, axes=1)
             off = np.max(np.abs(np.tensordot(AT_ZERO, plus + minus, axes=1) - here), initial=0.0)
             rounding = 16.0 * UNIT_ROUNDOFF * np.max(np.abs(here), initial=0.0)
-            found = np.asarray(change / by[0])
+            found = np.asarray(change / distance)
             if not off > AGREEMENT * np.max(np.abs(change), initial=0.0) + rounding:
                 break
-        if found is None:
-            raise ValueError(
-                f"{self._name} cannot be differentiated, since values near this one are refused: {refusal}"
-            )
         return found
 
 
@@ -114,8 +121,8 @@ class EnergyDifferences:
     """dH/dp of matrix systems, as `EnergyDerivative` for others."""
 
     def __init__(self, name: str, value: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> None:
-        self.size, self._nearby = value.size, nearby_systems(name, value, moved)
+        self.size, self.nearby = value.size, nearby_systems(name, value, moved)
 
     def at(self, x: Floats) -> Floats:
         """Return the derivatives of the energy at states (..., n), shape (..., size)."""
-        return np.stack(differences(self._nearby, lambda system: np.asarray(system.energy(x))), axis=-1)
+        return np.stack(differences(self.nearby, lambda system: np.asarray(system.energy(x))), axis=-1)

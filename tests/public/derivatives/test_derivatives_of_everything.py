@@ -152,6 +152,7 @@ def on_torus(size):
     return build
 
 
+BLOCKS = co.MatrixAlgebra.sum(co.MatrixAlgebra("so", 3), co.MatrixAlgebra("su", 2))
 MATRICES = {  # of the user, and with forces
     "composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)),
         -2),
@@ -164,6 +165,14 @@ MATRICES = {  # of the user, and with forces
     "lines": (on_torus(0.0), co.LineSplitting(), 2),
     "lines beside a constant stream": (on_torus(0.3), co.LineSplitting(4), -2),
     "lines, composed": (on_torus(0.3), co.Composition(co.LineSplitting(), (0.75, -0.5, 0.75)), 2),
+    "shallow fluid": (named("sphere_qg", N=4, lamb=2.0, gamma=0.5, rotation=0.7), co.IsospectralGauss(3), -2),
+    "body": (named("matrix_body", inertia=(1.0, 2.0, 3.5, 4.0)), co.IsospectralGauss(2), 2),
+    "layers": (named("layered_qg", N=3, gamma=[[2.0, -2.0], [-1.0, 1.0]], thicknesses=[1.0, 2.0], rotation=0.25),
+        co.IsospectralGauss(2), -2),
+    "buoyancy": (named("thermal_qg", N=3, gamma=0.5, rotation=0.3), co.Composition(co.IsospectralGauss(2),
+        (0.75, -0.5, 0.75)), 2),
+    "real and complex blocks": (lambda changed: co.MatrixSystem(BLOCKS, co.systems.Weights(1.0 + np.eye(5))),
+        co.IsospectralGauss(2), 2),
     "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
         co.IsospectralGauss(2), 2),
     "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
@@ -202,6 +211,44 @@ def test_derivatives_of_matrices(name):
     algebra = build({}).unforced.algebra
     outside = gradient["x0"] - algebra.projected(gradient["x0"])
     assert np.abs(outside).max() <= 2.0**10 * UNIT_ROUNDOFF * np.abs(gradient["x0"]).max()
+
+
+@pytest.mark.parametrize(
+    "method", [co.IsospectralGauss(), co.IsospectralGauss(2), co.Composition(co.IsospectralGauss(), (0.75, -0.5, 0.75))]
+)
+def test_gradients_of_matrices_are_those_of_steps_in_numpy(method):
+    """Over several segments of a run, of members on threads; steps in NumPy are code of their own."""
+    s, h, steps = co.systems.sphere_euler(N=16, rotation=0.5), 0.01, 80
+    draw, rng = drawing(s), np.random.default_rng(3)
+    x0, weights = 0.3 * np.array([draw(rng), draw(rng)]), np.array([draw(rng), draw(rng)])
+    gradients = []
+    for threads in (1, 2):
+        _, pullback = co.prepare(s, method, h, threads=threads).vjp(x0, (0.5, 0.5 - steps * h), save_every=steps)
+        gradients.append(pullback([np.zeros_like(weights), weights])["x0"])
+    np.testing.assert_array_equal(*gradients)
+    for start, row, found in zip(x0, s.to_vector(weights), gradients[0], strict=True):
+        x, taken = s.to_vector(start), []
+        for k in range(steps):
+            taken.append(method.linearized(s, x, 0.5 - k * h, -h))
+            x = taken[-1].end
+        for step in reversed(taken):
+            row = step.cotangent(row)
+        error = 2.0**4 * steps * UNIT_ROUNDOFF * np.abs(row).max()
+        np.testing.assert_allclose(s.to_vector(found), row, rtol=0, atol=error)
+
+
+@pytest.mark.parametrize("force", [(), (F.Friction(0.0),)], ids=["no force", "a friction of zero"])
+@pytest.mark.parametrize("stages", [1, 2])
+def test_the_gradient_of_a_casimir_is_that_at_the_start(stages, force):
+    """Half the square of the state is constant: the cotangents of the streams of a step cancel up to round-off."""
+    s, steps = co.systems.sphere_euler(N=24), 40
+    x0 = drawing(s)(np.random.default_rng(4))
+    ready = co.prepare(s.with_forces(*force) if force else s, co.IsospectralGauss(stages), 0.01)
+    sol, pullback = ready.vjp(x0, (0.0, steps * 0.01), save_every=steps)
+    weights = np.array([0.0 * x0, sol.x[-1]])
+    gradient = pullback(weights)["x0"]
+    np.testing.assert_allclose(gradient, x0, rtol=0, atol=2.0**4 * steps * UNIT_ROUNDOFF * np.abs(x0).max())
+    np.testing.assert_array_equal(pullback(weights)["x0"], gradient)
 
 
 def turning(x, t):

@@ -239,7 +239,6 @@ def test_a_processed_run_is_continued_where_it_ended():
     np.testing.assert_allclose(again, end, rtol=0, atol=1e-13)
 
 
-@pytest.mark.long
 def turning(x, params):
     return x @ (params * x) / 2
 
@@ -266,6 +265,7 @@ def test_first_runs_warn_of_a_large_step(forced):
     np.testing.assert_allclose((run(x0) ** 2).sum(axis=1), x0 @ x0, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_certify_takes_a_map():
     algebra = get("so(3)")
     layers = co.jax.PoissonMap(algebra, depth=6)

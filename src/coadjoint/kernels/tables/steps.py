@@ -33,6 +33,7 @@ from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.matrices.streams import FunctionStream
+from coadjoint.systems.parameter_differences import WEIGHTS, NearbySystems
 from coadjoint.systems.system import System
 
 
@@ -258,6 +259,53 @@ def matrix_tables(
     integers += [stages, int(system.complex), int(not system.algebra.skew)]
     step_tables = numeric_step_tables(system, step, integers, [*coefficients, *numbers], fractions)
     return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))
+
+
+class StreamSlope(NamedTuple):
+    """A factor and the numbers of a stream with a constant, a summand of the derivative by a coefficient."""
+
+    coefficient: int
+    factor: float
+    numbers: NDArray[np.float64]
+
+
+def stream_slopes(coefficient: int, nearby: NearbySystems) -> list[StreamSlope]:
+    """Return the derivative of the stream by an entry of a parameter, by differences, as a sum of streams."""
+    distance, (plus, minus) = next(nearby.sides())
+    weights = np.concatenate([WEIGHTS, -WEIGHTS]) / distance
+    numbers = np.array([_stream_numbers(system) for system in (*plus, *minus)])
+    constants = plus[0].dim
+    if (numbers[:, constants:] == numbers[0, constants:]).all():
+        only_constant = np.zeros(numbers.shape[1])
+        only_constant[:constants] = weights @ numbers[:, :constants]
+        return [StreamSlope(coefficient, 1.0, only_constant)]
+    return [StreamSlope(coefficient, *one) for one in zip(weights.tolist(), numbers, strict=True)]
+
+
+def _stream_numbers(system: Any) -> NDArray[np.float64]:
+    """Return the numbers of a stream with a constant, which may be zero."""
+    numbers = np.array(stream_tables(system)[1])
+    return numbers if system.linear is not None else np.concatenate([np.zeros(system.dim), numbers])
+
+
+def with_slopes(
+    tables: CompiledTables, system: Any, slopes: Sequence[StreamSlope], coefficients: int
+) -> CompiledTables:
+    """Return the tables of a step of skew-Hermitian matrices with what its derivatives read."""
+    step = tables.tables.tables
+    blocks = [
+        4 * k + 2 * kind.traceless + (not kind.complex)
+        for k, (_, block, kind) in enumerate(system.algebra.parts)
+        for _ in range(block.N)
+    ]
+    numbers = [np.concatenate([[one.factor], one.numbers]) for one in slopes]
+    integers = [coefficients, len(slopes), len(step.coefficients), len(numbers[0]) if numbers else 0]
+    integers += [one.coefficient for one in slopes] + blocks
+    with_slopes = step._replace(
+        whole=np.concatenate([step.whole, np.array(integers, dtype=np.int64)]),
+        coefficients=np.concatenate([step.coefficients, *numbers]),
+    )
+    return replace(tables, tables=tables.tables._replace(tables=with_slopes))
 
 
 def stream_function(stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> Any:

@@ -167,7 +167,7 @@ class SubstepMethod(Method):
         energies: Mapping[str, EnergyDerivative],
         fractions: Sequence[float],
     ) -> DerivativeTables:
-        """Return the tables of a `differentiable` scheme, with substeps of these fractions of the step."""
+        """Return the tables of loops that differentiate runs, with substeps of these fractions of the step."""
         return super().derivative_tables(system, h, representation, energies)
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
@@ -190,12 +190,16 @@ class Substeps(Composed):
     coefficients: tuple[float, ...]
 
     by_stages = of("base.by_stages")
-    differentiable = of("base.differentiable")
+    differentiates = of("base.differentiates")
     restored = of("base.restored")
     took_newton = of("base.took_newton")
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         return Substeps(self.base, tuple(c * f for c in coefficients for f in self.coefficients))
+
+    @property
+    def stored_states(self) -> int:
+        return len(self.coefficients) * self.base.stored_states
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         return self.base.loop_of_substeps(system, h, representation, self.coefficients)

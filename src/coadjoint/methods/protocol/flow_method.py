@@ -126,7 +126,7 @@ class FlowMethod(Method):
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
         tables = flow_tables(flow_table, h, bool(self.compensated), compact)
-        sources = tables.sources if self.differentiable else unrecorded
+        sources = tables.sources if type(self).flow_table is FlowMethod.flow_table else unrecorded
         return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=flow_table.shift)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
@@ -136,8 +136,7 @@ class FlowMethod(Method):
         flow_table = self.flow_table(system)
         return with_tangents(self._flow_loop(flow_table, h), system, flow_table.functions, frame)
 
-    @property
-    def differentiable(self) -> bool:
+    def differentiates(self, system: System) -> bool:
         """Whether the table contains only the parts of the Hamiltonian."""
         return type(self).flow_table is FlowMethod.flow_table
 
@@ -227,7 +226,7 @@ class FlowMethod(Method):
         from coadjoint.program.parts.joint_choice import joint_choices
 
         found: list[SystemStack] = []
-        for stack in super().split_jointly(systems) if self.differentiable else []:
+        for stack in super().split_jointly(systems) if self.differentiates(systems[0]) else []:
             # Hamiltonians that do not split, and their functions, raise later, with the number of the member.
             with suppress(ArithmeticError, TypeError, ValueError):
                 found += joint_choices(stack, self.parts)

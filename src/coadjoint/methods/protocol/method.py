@@ -232,10 +232,14 @@ class Method(Abstract):
         """Whether `linearized` has the stages by which steps are differentiated by parameters of the field."""
         return False
 
-    @property
-    def differentiable(self) -> bool:
-        """Whether there are loops that differentiate whole runs, `derivative_tables`."""
+    def differentiates(self, system: System) -> bool:
+        """Whether there are loops that differentiate whole runs of a system, `derivative_tables`."""
         return False
+
+    @property
+    def stored_states(self) -> int:
+        """States in memory for each step of a segment that is differentiated backward."""
+        return 1
 
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]

@@ -136,8 +136,7 @@ class RungeKuttaMethod(SubstepMethod):
         loop = self.loop_of_substeps(system, h, None, fractions)
         return with_tangents(loop, system, terms_of_field(system).functions, frame)
 
-    @property
-    def differentiable(self) -> bool:
+    def differentiates(self, system: System) -> bool:
         return self._as_written
 
     def derivative_tables_of_substeps(

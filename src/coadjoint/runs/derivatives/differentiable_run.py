@@ -77,8 +77,9 @@ class DifferentiableRun:
                 f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "
                 "a given step"
             )
-        if self.base.differentiable:
-            check_differentiable(system.unforced)
+        plain = system.of_member(0).unforced
+        if self.base.differentiates(plain):
+            check_differentiable(plain)
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_members(system) if parameters is None else parameters
         self.representation, self.inputs = prepared.representation, prepared.inputs
@@ -201,10 +202,9 @@ class Trajectory:
         length, bytes_of_each = max(1, NUMBERS_OF_SEGMENT // (numbers * side_by_side)), 16 * numbers * self.members
         length = max(length, min(STEPS_OF_SEGMENT, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
-        # Those before and after the flows of forces in each substep are stored too.
-        stored = 3 * len(scheme.fractions) if isinstance(scheme, Forced) else 1
         check_available_memory(
-            bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * (stored * min(length, steps) + 1),
+            bytes_of_each * (steps // length + 1)
+            + 8 * numbers * lanes * (scheme.stored_states * min(length, steps) + 1),
             f"the states of {steps} steps of {self.members} members, from which they are repeated,",
         )
         return length

@@ -59,8 +59,10 @@ FLOW_CALLBACK = ctypes.CFUNCTYPE(
     ctypes.c_void_p,
     ctypes.c_void_p,
 )
-# Tables, run, first member, last one and one.
-CARRY_CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+# Tables, run, first member, last one and one, and what a loop keeps between calls.
+CARRY_CALLBACK = ctypes.CFUNCTYPE(
+    ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p
+)
 
 
 # Derivatives in Python change the filters of warnings, which belong to all threads.
@@ -276,7 +278,7 @@ def as_structure_of(tables: Any) -> Any:
 def _carried_in_python(carry: Callable[..., None], kind: Any, steps: Any, coefficients: int) -> CalledInPython:
     """Return the function that carries vectors through a step in Python as one that the kernels call."""
 
-    def call(_: int, run: int, first: int, last: int) -> None:
+    def call(_: int, run: int, first: int, last: int, kept: int) -> None:
         with ONE_AT_A_TIME:
             carry(steps, run_at(kind, run, coefficients), first, last)
 

@@ -100,7 +100,7 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
 def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
     """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
     alone = not prepared.system.is_batch or prepared.system.forces or prepared.inputs is not None
-    if alone or not prepared.scheme.differentiable:
+    if alone or not prepared.scheme.differentiates(prepared.system.of_member(0)):
         return []
     cache = prepared.cache
     if cache.in_columns is None:

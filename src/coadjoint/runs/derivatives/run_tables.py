@@ -168,7 +168,7 @@ def _of_scheme(
 ) -> DerivativeTables:
     """Return the tables of the scheme on a system without forces."""
     scheme, representation = run.base, run.representation
-    if scheme.differentiable:
+    if scheme.differentiates(system):
         energies = {name: run.energy(name) for name in names}
         if inputs is not None:
             return tables_with_inputs(inputs, scheme, h, representation, energies)
@@ -337,7 +337,7 @@ def compiled_tangents(
 ) -> StepTangents | None:
     """Return the derivatives of a step in the compiled loop; None without such a loop, and for user functions."""
     called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
-    if called or not method.differentiable:
+    if called or not method.differentiates(system):
         return None
     if inputs is None:
         tables = method.derivative_tables(system, h, None, {})

@@ -63,6 +63,38 @@ class ModeForce {
         }
     }
 
+    // Whether another force relaxes the same modes of the same layers.
+    bool has_modes_of(const ForceTable& other) const {
+        const int64_t diagonals = modes.diagonals();
+        return table.extent == other.extent && table.shape == other.shape &&
+               std::equal(table.function, table.function + 2 + 2 * table.function[0], other.function) &&
+               std::equal(table.begin, table.begin + diagonals + 1, other.begin) &&
+               std::equal(table.direction, table.direction + modes.count(), other.direction) &&
+               std::equal(table.basis, table.basis + modes.basis_size(), other.basis);
+    }
+
+    // The factors of `relax`, of each mode in each change.
+    std::vector<Complex> factors(double tau) {
+        if (prepared_for != tau) prepare(tau);
+        const int64_t count = modes.count();
+        std::vector<Complex> found(table.function[0] * count);
+        for (int64_t i = 0; i < int64_t(found.size()); ++i)
+            found[i] = table.rate[count + i] * Complex(values[2 * (i % count)], values[2 * (i % count) + 1]);
+        return found;
+    }
+
+    // Add the modes of a state times these factors to another one.
+    void add(const std::vector<Complex>& factors, const double* x, double* to) {
+        const int64_t square = modes.size() * modes.size();
+        const Complex* const source = reinterpret_cast<const Complex*>(x);
+        for (int64_t k = 0; k < table.function[0]; ++k) {
+            const int64_t changed = table.function[2 + 2 * k] * square, read = table.function[3 + 2 * k] * square;
+            const Complex* const own = factors.data() + k * modes.count();
+            modes.change(reinterpret_cast<Complex*>(to) + changed, source + read, nullptr, false,
+                         [=](int64_t e, const Complex& c) { return Modes::times(own[e], c); });
+        }
+    }
+
     // The noise of a time: each mode changes by normal numbers of variance rate^2 tau, half each in its real and its
     // imaginary part; harmonics of the main diagonal have an imaginary part only.
     void shake(double* x, double t, double tau, int64_t member) {

@@ -20,17 +20,20 @@ namespace coadjoint {
 class Modes {
   public:
     explicit Modes(const ForceTable& table)
-        : table(table), n(table.extent), waves(table.shape == WAVES), diagonals(waves ? (n + 1) / 2 : n),
-          harmonics(diagonals), memory(n, waves) {
+        : table(table), n(table.extent), waves(table.shape == WAVES), last(waves ? (n + 1) / 2 : n),
+          harmonics(last), memory(n, waves) {
         const double* harmonic = table.basis;
-        for (int64_t d = 0; d < diagonals && !waves; ++d) {
+        for (int64_t d = 0; d < last && !waves; ++d) {
             harmonics[d] = harmonic;
             harmonic += (table.begin[d + 1] - table.begin[d]) * ((n - d + 1) / 2);
         }
+        numbers = waves ? 2 * n : harmonic - table.basis;
     }
 
     int64_t size() const { return n; }
-    int64_t count() const { return table.begin[diagonals]; }
+    int64_t count() const { return table.begin[last]; }
+    int64_t diagonals() const { return last; }
+    int64_t basis_size() const { return numbers; }
 
     // Add to W its modes times `move(e, c)` of their indices e in the table and their coefficients c, which are those of
     // `from` without `rest`, or zero if it is null. On the main diagonal waves of opposite numbers are combined if
@@ -38,8 +41,8 @@ class Modes {
     template <class Move>
     void change(Complex* W, const Complex* from, const Complex* rest, bool paired, Move move) {
         aim = rest;
-        for (int64_t begin = 0; begin < diagonals; begin += TOGETHER) {
-            const int64_t end = std::min(diagonals, begin + TOGETHER);
+        for (int64_t begin = 0; begin < last; begin += TOGETHER) {
+            const int64_t end = std::min(last, begin + TOGETHER);
             int64_t work = 0;
             for (int64_t d = begin; d < end; ++d) work += work_of(d);
             InterruptCheck::of_this_call().after(work);
@@ -47,6 +50,10 @@ class Modes {
                 change(W, from, begin + d, paired, move, own);
             });
         }
+    }
+
+    static Complex times(const Complex& a, const Complex& b) {
+        return Complex(a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real());
     }
 
   private:
@@ -64,7 +71,8 @@ class Modes {
     const ForceTable& table;
     const int64_t n;
     const bool waves;
-    const int64_t diagonals;
+    const int64_t last;
+    int64_t numbers;  // of the basis
     std::vector<const double*> harmonics;  // the first one of each diagonal
     Memory memory;
     const Complex* aim = nullptr;  // the matrix at rest of the layer that is read
@@ -129,10 +137,6 @@ class Modes {
     Complex first_of(int64_t k, int64_t d) const {
         const int64_t at = k * d % n;
         return Complex(table.basis[at], table.basis[n + at]) / std::sqrt(double(n));
-    }
-
-    static Complex times(const Complex& a, const Complex& b) {
-        return Complex(a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real());
     }
 
     // The change of a cyclic diagonal, by Fourier transforms: the phase of mode k advances by 2 k from entry to entry.

@@ -85,6 +85,15 @@ struct SkewMidpoint final : SkewStep<T> {
         return DONE;
     }
 
+    // Z of the last P, which a correction moves away from INVERSE.
+    void store_changes(double h, double* to) override {
+        for (int64_t l = 0; l < moving; ++l) unpack<T>(n, P.data() + l * half, 0.5 * h, whole(INVERSE, l));
+        this->invert();
+        for (int64_t l = 0; l < moving; ++l)
+            for (int64_t p = 0; p < PARTS; ++p)
+                shared_copy(whole(INVERSE, l).plane[p], square, to + (l * PARTS + p) * square);
+    }
+
   private:
     Planes<LowPrecision> lower(int64_t matrix, int64_t l) { return low_planes.layer(matrix * layers + l); }
 

@@ -58,24 +58,15 @@ struct SkewStages final : SkewStep<T> {
         return DONE;
     }
 
+    void store_changes(double, double* to) override { std::copy(Z.begin(), Z.end(), to); }
+
   private:
     double* numbers_of(int64_t i, int64_t l) { return Z.data() + (i * moving + l) * block; }
 
     // matrix := the sum of the stages' Z times factor(stage).
     template <class Factor>
     void set_sum(int64_t matrix, const Factor& factor) {
-        for (int64_t l = 0; l < moving; ++l) {
-            const Planes<T> to = whole(matrix, l);
-            for (int64_t p = 0; p < PARTS; ++p) {
-                double* const sum = to.plane[p];
-                std::fill_n(sum, square, 0.0);
-                for (int64_t j = 0; j < stages; ++j) {
-                    const double *from = numbers_of(j, l) + p * square, share = factor(j);
-                    for (int64_t e = 0; e < square; ++e) sum[e] += share * from[e];
-                }
-            }
-            add_parts(square, to);
-        }
+        for (int64_t l = 0; l < moving; ++l) this->add_stages(whole(matrix, l), Z.data(), l, factor);
     }
 
     // Replace Z_i by that of the stream at the stage; add to the largest change, and to the largest number of Z. Layers
@@ -97,7 +88,7 @@ struct SkewStages final : SkewStep<T> {
             });
         }
         if (!stream.apply(G.data(), t + this->c[i] * h, image.data(), true)) return false;
-        load_stream(h * this->a[i * stages + i]);
+        this->load_stream(INVERSE, image.data(), h * this->a[i * stages + i]);
         this->invert();
         for (int64_t l = 0; l < moving; ++l) {
             const Planes<T> R = whole(POINT, l);
@@ -132,25 +123,6 @@ struct SkewStages final : SkewStep<T> {
         return true;
     }
 
-    // INVERSE := the factor times the skew-Hermitian stream in `image`, of which entries below the diagonal may be left
-    // out.
-    void load_stream(double factor) {
-        for (int64_t l = 0; l < moving; ++l) {
-            const T* const from = image.data() + l * square;
-            const Planes<T> to = whole(INVERSE, l);
-            each_tile(n, [=](const TileRange& range) {
-                Tile<T> P;
-                P.clear(range);
-                range.each_row([&](int i, int64_t e, int count) {
-                    P.load(i, reinterpret_cast<const double*>(from + e), count);
-                });
-                if (range.diagonal()) P.mirror();
-                store(range, P, factor, to);
-                if (!range.diagonal()) store(range.opposite(), P.opposite(), factor, to);
-            });
-        }
-    }
-
     // memory: the number of steps that it knows, their length, the row that was written last, and a ring of rows, Z of
     // earlier steps.
     double* past(int64_t steps) const {
@@ -163,7 +135,7 @@ struct SkewStages final : SkewStep<T> {
         if (!this->known_steps(h)) {
             if (!stream.apply(W, t, image.data(), true)) return false;
             ++this->evaluations;
-            load_stream(h);
+            this->load_stream(INVERSE, image.data(), h);
             for (int64_t k = 0; k < stages * moving * PARTS; ++k) {
                 const int64_t p = k % PARTS, l = k / PARTS % moving, i = k / PARTS / moving;
                 const double *from = whole(INVERSE, l).plane[p], share = this->a[i * stages + i];

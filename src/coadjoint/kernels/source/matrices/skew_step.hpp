@@ -32,6 +32,9 @@ struct SkewStep : Isospectral<T> {
 
     Planes<T> whole(int64_t matrix, int64_t l) { return planes.layer(matrix * layers + l); }
 
+    // Store Z_i = h a_ii P_i V_i of the step taken last, by stages, layers that move, and parts.
+    virtual void store_changes(double h, double* to) = 0;
+
     void load_state(const T* W) {
         for (int64_t l = 0; l < layers; ++l) {
             const Planes<T> to = whole(STATE, l);
@@ -67,6 +70,38 @@ struct SkewStep : Isospectral<T> {
         each_product(moving, layers, 0, [&](int64_t i, int64_t j, int64_t l, bool add) {
             products.lower(whole(A, i), whole(FIRST, j), whole(SECOND, l), add);
         });
+    }
+
+    // to := the sum of the stages' Z of a layer times factor(stage).
+    template <class Factor>
+    void add_stages(const Planes<T>& to, const double* Z, int64_t l, const Factor& factor) const {
+        for (int64_t p = 0; p < PARTS; ++p) {
+            double* const sum = to.plane[p];
+            std::fill_n(sum, square, 0.0);
+            for (int64_t j = 0; j < this->stages; ++j) {
+                const double *from = Z + ((j * moving + l) * PARTS + p) * square, share = factor(j);
+                for (int64_t e = 0; e < square; ++e) sum[e] += share * from[e];
+            }
+        }
+        add_parts(square, to);
+    }
+
+    // matrix := the factor times a skew-Hermitian stream, of which entries below the diagonal may be left out.
+    void load_stream(int64_t matrix, const T* stream, double factor) {
+        for (int64_t l = 0; l < moving; ++l) {
+            const T* const from = stream + l * square;
+            const Planes<T> to = whole(matrix, l);
+            each_tile(n, [=](const TileRange& range) {
+                Tile<T> P;
+                P.clear(range);
+                range.each_row([&](int i, int64_t e, int count) {
+                    P.load(i, reinterpret_cast<const double*>(from + e), count);
+                });
+                if (range.diagonal()) P.mirror();
+                store(range, P, factor, to);
+                if (!range.diagonal()) store(range.opposite(), P.opposite(), factor, to);
+            });
+        }
     }
 
     // INVERSE := (1 - X)^-1 - 1 for the X in it.

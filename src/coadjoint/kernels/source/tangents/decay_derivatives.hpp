@@ -12,7 +12,10 @@ class DecayDerivative {
     DecayDerivative(const ForceTable& force, const Field& field, const ForceDerivatives& table)
         : force(force), field(field), table(table), decay(selective_decay(force, field, MemberConstants{1, 0})), n(decay->n),
           krylov(n), seconds(field.terms), of_added(table.added), m(n), u(n), k(n), rest(n), change(n), slope(n), a(n), b(n),
-          image(n) {}
+          image(n) {
+        for (int64_t j = 0; j < NODES * table.moved && force.extent; ++j)
+            nearby.push_back(selective_decay(*reinterpret_cast<const ForceTable*>(table.nearby[j]), field, MemberConstants{1, 0}));
+    }
 
     // Replace vectors at a state, which the flow moves to `end`, by their tangents after it, along directions of the
     // coefficients: the rate, then the terms; false if the equation is not solved.
@@ -24,6 +27,10 @@ class DecayDerivative {
             const double* const along = directions + v * stride;
             std::fill(slope.begin(), slope.end(), 0.0);
             each_added([&](int64_t index, int64_t i, double factor) { slope[i] = fma(factor, along[1 + index], slope[i]); });
+            const bool whole = each_moved([&](int64_t k, int64_t i, double by) {
+                slope[i] = fma(by, along[table.own + k], slope[i]);
+            });
+            if (!whole) return false;
             of_slope(slope.data(), change.data());
             const double by_rate = table.own ? 0.5 * tau * along[0] : 0.0;
             for (int64_t i = 0; i < n; ++i) change[i] = fma(by_rate, rest[i], fma(c, change[i], dx[i]));
@@ -47,7 +54,9 @@ class DecayDerivative {
         each_added([&](int64_t index, int64_t i, double factor) {
             by_coefficients[1 + index] = fma(c * factor, slope[i], by_coefficients[1 + index]);
         });
-        return true;
+        return each_moved([&](int64_t k, int64_t i, double by) {
+            by_coefficients[table.own + k] = fma(c * by, slope[i], by_coefficients[table.own + k]);
+        });
     }
 
   private:
@@ -58,6 +67,10 @@ class DecayDerivative {
     const int64_t n;
     Krylov krylov;
     HessianWorkspace<double> seconds, of_added;
+    // With moved parameters of the stream of matrices.
+    static constexpr int64_t NODES = 8;
+    static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
+    std::vector<std::unique_ptr<SelectiveDecay>> nearby;
     double c = 0.0, middle = 0.0;
     std::vector<double> m, u, k, rest, change, slope, a, b, image;  // `k` is [u, m], and `rest` [u, k]
 
@@ -131,6 +144,18 @@ class DecayDerivative {
                                        double& to = out[field.terms.target[place]];
                                        to = fma(product(number), d[coordinate], to);
                                    });
+    }
+
+    // Visit what the gradient at the midpoint changes by moved parameters, in each number; false if it is not defined.
+    template <class Visit>
+    bool each_moved(const Visit& visit) {
+        for (size_t j = 0; j < nearby.size(); ++j) {
+            if (!nearby[j]->gradient(m.data(), middle, image.data())) return false;
+            const int64_t k = int64_t(j) / NODES, node = int64_t(j) % NODES;
+            const double weight = (node % 2 ? -1.0 : 1.0) * WEIGHTS[node / 2] / table.distance[k];
+            for (int64_t i = 0; i < n; ++i) visit(k, i, weight * image[i]);
+        }
+        return true;
     }
 
     template <class Visit>

@@ -1,6 +1,8 @@
 // Derivatives of the flows of forces by the state, and by the coefficients on which they depend.
 #pragma once
 
+#include <map>
+
 #include "tangents/decay_derivatives.hpp"
 #include "tangents/law_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
@@ -43,8 +45,10 @@ class ForceDerivative {
             orbit.reset(new OrbitDerivative(force, tables.field, table));
         if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
-        for (int64_t k = 0; k < NODES * table.moved; ++k)
+        by_nodes = decay && force.extent ? 0 : table.moved;  // the stream of a decay of matrices is differentiated
+        for (int64_t k = 0; k < NODES * by_nodes; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
+        slopes.resize(modes ? table.moved : 0);
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
@@ -71,7 +75,7 @@ class ForceDerivative {
                             called.data() + v * all.called);
             call(at, whole, x, count, vectors, called.data());
         }
-        for (int64_t k = 0; k < table.moved; ++k) {
+        for (int64_t k = 0; k < by_nodes; ++k) {
             const double* along = own + table.own + k;
             bool directed = false;
             for (int64_t v = 0; v < count; ++v) directed = directed || along[v * all.coefficients] != 0.0;
@@ -100,7 +104,7 @@ class ForceDerivative {
             images[v] = 0.0;
             for (int64_t i = 0; i < n; ++i) images[v] = fma(image[i], row[i], images[v]);
         });
-        for (int64_t k = 0; k < table.moved; ++k) {
+        for (int64_t k = 0; k < by_nodes; ++k) {
             difference(at, x, end, k, element);
             double& to = own[table.own + k];
             for (int64_t i = 0; i < n; ++i) to = fma(sum[i], row[i], to);
@@ -139,7 +143,16 @@ class ForceDerivative {
     std::unique_ptr<DecayDerivative> decay;
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
+    int64_t by_nodes = 0;  // moved parameters of which flows at nodes are taken
     std::vector<std::unique_ptr<Force>> nearby;
+    // The derivative by a moved parameter of the flow of modes in a time: of each mode, if some change, and of the state
+    // zero.
+    struct ModeSlope {
+        bool known = false;
+        std::vector<Complex> factors;
+        std::vector<double> constant;
+    };
+    std::vector<std::map<double, ModeSlope>> slopes;
     std::vector<double> moved, sum, beside, called, grown, changes, scaled, images, unit, direction, tangent, drawn;
     const int64_t square;  // numbers of the element of the group, its value at a node, and its derivative
     std::vector<double> turned, turned_by;
@@ -330,6 +343,14 @@ class ForceDerivative {
     // Set `sum` to the derivative of the flow by the moved parameter k, of order eight, unless the value at zero that belongs
     // to it is not that of the flow, so that nearer ones are taken in Python; and `turned_by` to that of the element.
     void difference(const FlowTime& at, const double* x, const double* end, int64_t k, const double* element) {
+        if (modes) {
+            const ModeSlope& slope = slope_of(at, k);
+            if (slope.known) {
+                sum = slope.constant;
+                if (!slope.factors.empty()) modes->add(slope.factors, x, sum.data());
+                return;
+            }
+        }
         std::fill(sum.begin(), sum.end(), 0.0);
         std::fill(turned_by.begin(), turned_by.end(), 0.0);
         beside.assign(n, 0.0);
@@ -356,6 +377,38 @@ class ForceDerivative {
         }
         if (element) throw NotDifferentiated();
         call(at, false, x, -1 - table.numbered[k], sum.data(), nullptr);
+    }
+
+    // The derivative of the flow of modes by the moved parameter k; not known where it is not smooth.
+    const ModeSlope& slope_of(const FlowTime& at, int64_t k) {
+        const auto known = slopes[k].find(at.tau);
+        if (known != slopes[k].end()) return known->second;
+        ModeSlope& slope = slopes[k][at.tau];
+        const std::vector<Complex> own = modes->factors(at.tau);
+        std::vector<Complex> change(own.size()), middle(own.size());
+        std::vector<double> constant(n), zero(n);
+        for (int64_t node = 0; node < NODES; ++node) {
+            Force& flow = *nearby[k * NODES + node];
+            if (!modes->has_modes_of(flow.table)) return slope;
+            const std::vector<Complex> there = ModeForce(flow.table).factors(at.tau);
+            const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            move(flow, at, zero.data(), moved);
+            for (int64_t i = 0; i < n; ++i) constant[i] += weight / table.distance[k] * moved[i];
+            for (size_t e = 0; e < own.size(); ++e) {
+                change[e] += weight * there[e];
+                middle[e] += AT_ZERO[node / 2] * there[e];
+            }
+        }
+        double off = 0.0, most = 0.0, size = 0.0;
+        for (size_t e = 0; e < own.size(); ++e) {
+            off = larger(off, std::abs(middle[e] - own[e]));
+            most = larger(most, std::abs(change[e]));
+            size = larger(size, std::abs(own[e]));
+            change[e] /= table.distance[k];
+        }
+        if (most == 0.0) change.clear();
+        if (off <= SMOOTH * most + ROUNDING * size) slope = {true, std::move(change), std::move(constant)};
+        return slope;
     }
 
     void move(Force& flow, const FlowTime& at, const double* x, std::vector<double>& to, double* element = nullptr) {

@@ -2,6 +2,7 @@
 #include "steps/forced_layout.hpp"
 #include "steps/inner_step.hpp"
 #include "tangents/force_derivatives.hpp"
+#include "tangents/members.hpp"
 
 namespace coadjoint {
 
@@ -9,13 +10,14 @@ namespace {
 
 // The functions that carry tangents and cotangents of members through steps of a loop, and its tables.
 struct InnerDerivative {
-    typedef int64_t (*Carry)(const void* tables, const void* run, int64_t first, int64_t last);
+    typedef int64_t (*Carry)(const void* tables, const void* run, int64_t first, int64_t last, std::unique_ptr<Kept>* kept);
     Carry forward, backward;
     const void* tables;
+    std::unique_ptr<Kept> kept;
 
     template <class Run>
-    void operator()(Carry carry, const Run& run) const {
-        const int64_t outcome = carry(tables, &run, 0, run.members);
+    void operator()(Carry carry, const Run& run) {
+        const int64_t outcome = carry(tables, &run, 0, run.members, &kept);
         if (outcome == NO_MEMORY) throw std::bad_alloc();
         if (outcome == INTERRUPTED) throw Interrupted{};
         if (outcome) throw NotDifferentiated();
@@ -39,7 +41,7 @@ class ForcedSteps {
         for (size_t k = 0; k < layout.loops.size(); ++k)
             derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
                                    reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]),
-                                   reinterpret_cast<const void*>(all.inner[3 * k + 2])});
+                                   reinterpret_cast<const void*>(all.inner[3 * k + 2]), nullptr});
         for (size_t j = 0; j < layout.forces.size(); ++j) {
             forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
             flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,

@@ -1,6 +1,9 @@
 // The members of a call with derivatives, as lanes or one after the other, and the numbers in the arrays of their run.
 #pragma once
 
+#include <memory>
+#include <type_traits>
+
 #include "boundary/loop.hpp"
 #include "numbers/constants.hpp"
 
@@ -25,14 +28,29 @@ int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, 
     });
 }
 
+// What a loop keeps from one call inside of another loop to the next.
+struct Kept {
+    virtual ~Kept() = default;
+};
+
+// Call a loop, with what it keeps if it keeps anything.
+template <class Tables, class Run, class Carry>
+int64_t call_derivative(const Carry& carry, const Tables& tables, const Run& run, int64_t first, int64_t last,
+                        InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
+    if constexpr (std::is_invocable_v<Carry, const Tables&, const Run&, int64_t, int64_t, InterruptCheck&, decltype(kept)>)
+        return carry(tables, run, first, last, interrupts, kept);
+    else return carry(tables, run, first, last, interrupts);
+}
+
 // The entry points of a loop with derivatives: for Python, and inside of another loop.
 #define EXPORT_DERIVATIVES(name, Tables, Run, carry)                                                                  \
     EXPORT int64_t name(const Tables* tables, const Run* run, int64_t first, int64_t last, const int64_t* stop) {     \
         InterruptCheck interrupts(stop);                                                                             \
-        return carry(*tables, *run, first, last, interrupts);                                                        \
+        return call_derivative(carry, *tables, *run, first, last, interrupts, nullptr);                              \
     }                                                                                                                \
-    EXPORT int64_t name##_inside(const Tables* tables, const Run* run, int64_t first, int64_t last) {                 \
-        return carry(*tables, *run, first, last, InterruptCheck::of_this_call());                                    \
+    EXPORT int64_t name##_inside(const Tables* tables, const Run* run, int64_t first, int64_t last,                  \
+                                 std::unique_ptr<coadjoint::Kept>* kept) {                                           \
+        return call_derivative(carry, *tables, *run, first, last, InterruptCheck::of_this_call(), kept);             \
     }
 
 // Visitors of the numbers in lanes, which copy them from an array, or to it.
