@@ -142,7 +142,7 @@ def test_stages_of_many_dipoles():
 
 
 def test_energies_with_reused_fields_do_not_drift():
-    """Each step rounds the energies of spins, of some five times the rounding, independently: that of fields has a sign."""
+    """Each step rounds the energies of spins, of size five, independently; reused fields have errors of one sign."""
     steps, lattice = 1000, co.systems.spin_lattice("cubic", (10, 9, 8), exchange=-1.0, dipolar=1.0)
     x0 = [start(lattice, seed) for seed in range(3)]
     run = co.integrate(lattice, x0, (0, 0.01 * steps), 0.01, co.GaussLegendre(1), save_every=steps)
