@@ -86,8 +86,8 @@ class CoherentSpinModel(SpinModel):
         if np.ptp(declared.spin):
             raise ValueError(
                 f"spin is {short(declared.spin.tolist())}, and sites of SU(N) have equal numbers of levels; give "
-                'one spin for all, or mode="dipole", which is the same for S = 1/2; a single-ion D of longer spins is there '
-                "D (1 - 1 / (2 S))"
+                'one spin for all, or mode="dipole", which is the same for S = 1/2; there a single-ion D of longer '
+                "spins is D (1 - 1 / (2 S))"
             )
         levels = levels_of(declared.spin[0], "spin")
         set_fields(self, levels=levels)
