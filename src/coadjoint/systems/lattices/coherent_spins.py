@@ -85,8 +85,9 @@ class CoherentSpinModel(SpinModel):
         units, cell = UNITS[declared.units], len(declared.crystal.labels)
         if np.ptp(declared.spin):
             raise ValueError(
-                f"spin is {short(declared.spin.tolist())}, and sites of SU(N) have equal numbers of levels; give one "
-                'spin for all, or mode="dipole"'
+                f"spin is {short(declared.spin.tolist())}, and sites of SU(N) have equal numbers of levels; give "
+                'one spin for all, or mode="dipole", which is the same for S = 1/2; there a single-ion D of longer '
+                "spins is D (1 - 1 / (2 S))"
             )
         levels = levels_of(declared.spin[0], "spin")
         set_fields(self, levels=levels)
