@@ -46,7 +46,7 @@ CASES: dict[str, tuple[Callable[[float, int], list[co.LiePoissonSystem]], Any]] 
 
 
 def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, float]) -> tuple[float, float, float]:
-    """Return the processor times of `prepare`, with `batch` of a list, of a first run, and of a second gradient or 0."""
+    """Return processor times of `prepare`, with `batch` of a list, of a first run, and of a second gradient or 0."""
     gc.collect()
     began = time.process_time()
     prepared = co.prepare(co.batch(system) if isinstance(system, list) else system, method, STEP, threads=1)
