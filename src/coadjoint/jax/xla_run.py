@@ -16,7 +16,7 @@ from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.feature_flows import feature_steps
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.isospectral_steps import isospectral_steps, project
-from coadjoint.jax.library import LIBRARY
+from coadjoint.jax.library import LIBRARY, FeatureEnergy
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import SAVED, CoadjointAction, StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
@@ -40,7 +40,6 @@ from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.hamiltonians.parametrized_functions import (
     NAME,
     ParametrizedEnergy,
-    ParametrizedFeatures,
     features_of,
     function_of,
     function_with_params,
@@ -109,7 +108,7 @@ class XlaRun:
         learned = [(function, term) for function, term in pairs if isinstance(function, ParametrizedEnergy)]
         self._learned = learned[0][0] if learned else None
         scheme = (method if not self._system.forces else cast(Forced, prepared.scheme).inner).expanded
-        self._by_features = isinstance(self._learned, ParametrizedFeatures) and isinstance(scheme, FlowMethod)
+        self._by_features = type(self._learned) is FeatureEnergy and isinstance(scheme, FlowMethod)
         self._derivatives = jax.jit(partial(_derivatives_at, [gradient_of(term) for _, term in learned], self._t0))
         self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 

@@ -133,6 +133,9 @@ def test_several_trajectories_are_those_of_single_runs_together():
     np.testing.assert_allclose(found.values["attitude0"], attitudes, atol=1e-10)
     np.testing.assert_allclose(found.solution.x, exact.x, atol=1e-9)
     np.testing.assert_allclose(found.solution.attitude, exact.attitude, atol=1e-9)
+    deviations = np.zeros(6)
+    deviations[[0, 2, 3, 4, 5]] = np.sqrt(np.diag(found.covariance)[6:])
+    np.testing.assert_array_equal(found.standard_deviation("attitude0"), deviations.reshape(2, 3))
     # What each run tells of its own unknowns adds up.
     information = np.zeros((11, 11))
     for m, x, axes, columns in ((0, (0, 1, 2), (0, 2), [0, 1, 2, 3, 4, 6, 7]), (1, (1,), True, [0, 1, 5, 8, 9, 10])):

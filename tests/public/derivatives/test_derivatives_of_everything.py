@@ -199,9 +199,7 @@ def drawing(system):
     return draw
 
 
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("name", MATRICES)
-def test_derivatives_of_matrices(name):
+def check_matrices(name):
     build, method, steps = MATRICES[name]
     error = 1e-7 if "nonlinear" in name else DIFFERENCE_ERROR  # central differences of order 2
     draw = drawing(build({}))
@@ -211,6 +209,17 @@ def test_derivatives_of_matrices(name):
     algebra = build({}).unforced.algebra
     outside = gradient["x0"] - algebra.projected(gradient["x0"])
     assert np.abs(outside).max() <= 2.0**10 * UNIT_ROUNDOFF * np.abs(gradient["x0"]).max()
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("name", MATRICES)
+def test_derivatives_of_matrices(name):
+    check_matrices(name)
+
+
+def test_derivatives_of_layers_of_different_thickness():
+    """The weights of the layers are in the pairing of cotangents and streams, by which parameters are reached."""
+    check_matrices("layers")
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,16 @@ def test_the_equation_of_the_paper(name, h):
     assert np.max(np.abs(new - x)) > 1e-3
 
 
+@pytest.mark.parametrize("h", [0.1, -0.1])
+def test_the_derivative_of_a_driven_step(h):
+    """At the time of the middle; central differences have an error of some 2^-24."""
+    system, t, distance = SYSTEMS["driven"], 0.3, 2.0**-12
+    x, step = start_of(system), co.stepper(system, co.SphericalMidpoint(), h)
+    ends = [(step(x + distance * v, t), step(x - distance * v, t)) for v in np.eye(system.dim)]
+    columns = np.transpose([(after - before) / (2 * distance) for after, before in ends])
+    np.testing.assert_allclose(step.tangent(x, t), columns, rtol=0, atol=1e-6)
+
+
 def drawn_pieces(rng):
     """Return drawn terms of one coordinate each on two spins and one commuting coordinate: (coordinate, m, linear)."""
     terms = []

@@ -149,6 +149,16 @@ def test_spins_of_one_half_are_vectors(periodic):
     np.testing.assert_allclose(H / 4, vectors.hamiltonian.hessian(n.ravel()), rtol=0, atol=1e-12)
 
 
+def test_dipoles_leave_no_total_spin():
+    """Of an isotropic exchange alone the total spin is constant; with dipoles none of its components is declared."""
+    plain, dipolar = (model(0.5, field=(0, 0, 0), dipoles=dipoles) for dipoles in (False, True))
+    x = plain.random(1)
+    runs = [co.integrate(one, x, (0, 1), 0.05, co.GaussLegendre(2)).x[-1] for one in (plain, dipolar)]
+    changes = np.abs([[total.value(end) - total.value(x) for total in plain.integrals.values()] for end in runs])
+    assert len(plain.integrals) == 3 and changes[0].max() < 1e-12 and changes[1].min() > 1e-3
+    assert not dipolar.integrals
+
+
 def test_two_dipoles_at_a_temperature():
     """Sites of S = 1/2 are drawn uniformly from the sphere: the mean energy is that of classical dipoles."""
     pair = co.spins.crystal(lattice=(3, 9, 9, 90, 90, 90), sites={"A": (0, 0, 0)})
