@@ -217,6 +217,19 @@ def test_derivatives_of_matrices(name):
     check_matrices(name)
 
 
+def test_cotangents_outside_of_an_algebra_are_projected():
+    """Only one of two blocks is traceless: a part of cotangents that no state has leaves gradients as they are."""
+    algebra = co.MatrixAlgebra.sum(co.MatrixAlgebra("u", 2), co.MatrixAlgebra("su", 2))
+    s = co.MatrixSystem(algebra, co.systems.Weights(1.0 + np.eye(4)))
+    rng = np.random.default_rng(6)
+    weights = rng.standard_normal((3, 4, 4)) + 1j * rng.standard_normal((3, 4, 4))
+    x0, weights[0] = 0.5 * drawing(s)(rng), 0.0  # that at the start is no part of a step
+    _, pullback = co.prepare(s, co.IsospectralGauss(2), H).vjp(x0, (0.5, 0.5 - 2 * H))
+    found, wanted = (pullback(one)["x0"] for one in (weights, np.array([algebra.projected(one) for one in weights])))
+    for gradient in (algebra.projected(found), wanted):
+        np.testing.assert_allclose(found, gradient, rtol=0, atol=2.0**10 * UNIT_ROUNDOFF * np.abs(wanted).max())
+
+
 def test_derivatives_of_layers_of_different_thickness():
     """The weights of the layers are in the pairing of cotangents and streams, by which parameters are reached."""
     check_matrices("layers")
