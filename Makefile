@@ -78,7 +78,7 @@ torch:
 DEPENDENT := internal/project/test_core_alone.py public/command/test_typical_session.py public/command/test_command.py \
 	public/archives public/files public/pictures public/algebras public/runs/test_integrate.py \
 	public/runs/test_functions_in_python.py public/derivatives/test_jax.py public/derivatives/test_xla.py
-EXTRAS := functions,io,plot,cli,precision,algebra,fluids,cluster,remote,bodies,jax
+EXTRAS := all,jax
 
 minimum: VERSIONS := --constraint tests/minimum_versions.txt
 newest: VERSIONS := --upgrade --pre

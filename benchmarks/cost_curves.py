@@ -19,7 +19,7 @@ from scipy.sparse import diags_array
 
 import coadjoint as co
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.table import Program, build_flow_table
+from coadjoint.program.table import FlowTable, build_flow_table
 
 HERE = Path(__file__).parent
 LARGEST = 1_000_000
@@ -115,12 +115,12 @@ def families(largest: int) -> Iterator[Family]:
     yield Family("rigid body, an ensemble", "members", 100, [Case(1, lambda: body, k) for k in members])
 
 
-def bytes_of(program: Program) -> int:
-    tables = (program.rows, program.terms, program.state, (program.share, program.frequency))
+def bytes_of(program: FlowTable) -> int:
+    tables = (program.stages, program.parts, program.terms, program.state, (program.share, program.frequency))
     return sum(column.nbytes for table in tables for column in table if isinstance(column, np.ndarray))
 
 
-def building(case: Case) -> tuple[float, int, Program]:
+def building(case: Case) -> tuple[float, int, FlowTable]:
     """Return the seconds of the preparation, the most memory that it held, and the program."""
     seconds: list[float] = []
     while not seconds or (min(seconds) < SHORT and len(seconds) < RUNS):

@@ -107,29 +107,21 @@ def integrals(count: int) -> Any:
     return 0.5 * SPAN * np.stack(of_basis, 1)[1:] @ np.linalg.inv(legendre.legvander(z, count - 1))
 
 
-def fitted(residuals: Callable[[Any], Any], start: Any, linear: tuple[str, ...], seconds: float) -> Any:
-    """Return the parameters of least squares after a processor time.
+def least_squares(residuals: Any, jacobian: Any, start: Any, seconds: float) -> tuple[Any, Any]:
+    """Return the parameters of least squares after a processor time (Levenberg-Marquardt), and what comes with them.
 
-    Those in which residuals are `linear` are solved for at each value of the others (variable projection).
+    ``residuals(v)`` returns numbers and anything else, which is the second argument of ``jacobian``.
     """
-    solved, unravel_solved = ravel_pytree({name: start[name] for name in linear})
-    flat, unravel = ravel_pytree({name: start[name] for name in start if name not in linear})
-
-    def at(v: Any, c: Any) -> Any:
-        return jnp.append(residuals(unravel(v) | unravel_solved(c)).ravel(), SMALL * c)
 
     @jax.jit
-    def solution(v: Any) -> tuple[Any, Any, Any, Any]:
-        Q, R = jnp.linalg.qr(jax.jacfwd(at, 1)(v, jnp.zeros(len(solved))))
-        c = -solve_triangular(R, Q.T @ at(v, jnp.zeros(len(solved))))
-        r = at(v, c)
-        return Q, c, r, r @ r + SMALL**2 * v @ v
+    def at(v: Any) -> tuple[Any, Any, Any]:
+        r, others = residuals(v)
+        return r, others, jnp.vdot(r, r) + SMALL**2 * v @ v
 
     @jax.jit
-    def normal_equations(v: Any, Q: Any, c: Any, r: Any) -> tuple[Any, Any]:
-        J = jax.jacfwd(at)(v, c)
-        J = J - Q @ (Q.T @ J)
-        return J.T @ J + SMALL**2 * jnp.eye(len(v)), J.T @ r + SMALL**2 * v
+    def normal_equations(v: Any, r: Any, others: Any) -> tuple[Any, Any]:
+        J = jacobian(v, others).reshape(-1, len(v))
+        return J.T @ J + SMALL**2 * jnp.eye(len(v)), J.T @ r.ravel() + SMALL**2 * v
 
     @jax.jit
     def moved(v: Any, matrix: Any, slope: Any, damping: float) -> Any:
@@ -137,30 +129,53 @@ def fitted(residuals: Callable[[Any], Any], start: Any, linear: tuple[str, ...],
         sizes = jnp.maximum(sizes, SMALLEST_DIAGONAL * jnp.max(sizes))
         return v - cho_solve(cho_factor(matrix + damping * jnp.diag(sizes)), slope)
 
-    v, began, damping = jnp.asarray(flat), time.process_time(), 1e-2
-    Q, c, r, loss = solution(v)
+    v, began, damping = jnp.asarray(start), time.process_time(), 1e-2
+    r, others, loss = at(v)
     while time.process_time() - began < seconds:
-        equations = normal_equations(v, Q, c, r)
+        equations = normal_equations(v, r, others)
         for _ in range(DAMPINGS):
             there = moved(v, *equations, damping)
-            found = solution(there)
-            if found[3] < loss:
+            found = at(there)
+            if found[2] < loss:
                 break
             damping *= 4.0
         else:
             break
-        v, (Q, c, r, loss), damping = there, found, 0.25 * damping
-    return unravel(v) | unravel_solved(c)
+        v, (r, others, loss), damping = there, found, 0.25 * damping
+    return v, others
 
 
-def best_units(residuals: Callable[[Any], Any], start: Any, linear: tuple[str, ...], count: int) -> list[int]:
+def fitted_units(unit: Any, known: Any, target: Any, start: Any, seconds: float) -> tuple[Any, Any, Any]:
+    """Return units, the coefficients of known columns, and the outputs of units, whose sum is nearest to a target.
+
+    The target is (residuals, outputs); ``unit(one)`` returns the column of a unit. Coefficients are solved for at each
+    value of the units (variable projection), and each column depends on its own unit only.
+    """
+    flat, unravel = ravel_pytree(start)
+    count, fixed = known.shape
+
+    def residuals(v: Any) -> tuple[Any, Any]:
+        A = jnp.concatenate([known, jax.vmap(unit, out_axes=1)(unravel(v))], axis=1)
+        A = jnp.concatenate([A, SMALL * jnp.eye(A.shape[1])])
+        Q, R = jnp.linalg.qr(A)
+        C = solve_triangular(R, Q[:count].T @ target)
+        return (A @ C).at[:count].add(-target), (Q, C)
+
+    def jacobian(v: Any, others: Any) -> Any:
+        Q, C = others
+        slopes = jax.tree.leaves(jax.vmap(jax.jacfwd(unit))(unravel(v)))
+        each = [jnp.einsum("urj,uo->rouj", one.reshape(len(one), count, -1), C[fixed:]) for one in slopes]
+        J = jnp.concatenate([one.reshape(*one.shape[:2], -1) for one in each], axis=2)
+        projected = jnp.einsum("aq,qoj->aoj", Q, jnp.einsum("rq,roj->qoj", Q[:count], J))
+        return (-projected).at[:count].add(J)
+
+    v, (_, C) = least_squares(residuals, jacobian, flat, seconds)
+    return unravel(v), C[:fixed], C[fixed:]
+
+
+def best_units(unit: Any, known: Any, target: Any, start: Any, count: int) -> list[int]:
     """Return the units, one after the other, whose outputs reduce the residuals most (orthogonal least squares)."""
-
-    def columns(*names: str) -> Any:
-        flat, unravel = ravel_pytree({name: start[name] for name in names})
-        return np.asarray(jax.jit(jax.jacfwd(lambda c: residuals(start | unravel(c)).ravel()))(flat))
-
-    r, known, outputs, chosen = np.asarray(residuals(start)).ravel(), columns(*linear), columns("out"), list[int]()
+    outputs, r, chosen = np.asarray(jax.jit(jax.vmap(unit, out_axes=1))(start)), target[:, 0], list[int]()
     Q = np.linalg.qr(np.append(known, SMALL * np.eye(known.shape[1]), axis=0))[0][: len(r)]
     r, outputs, sizes = r - Q @ (Q.T @ r), outputs - Q @ (Q.T @ outputs), np.sum(outputs**2, axis=0)
     for _ in range(count):
@@ -172,41 +187,36 @@ def best_units(residuals: Callable[[Any], Any], start: Any, linear: tuple[str, .
     return chosen
 
 
-def field_residuals(field: Callable[[Any, Any], Any], data: Any) -> Callable[[Any], Any]:
-    """Return the residuals of the equations of a motion in integral form, as a function of parameters."""
-    weights, moved = integrals(len(data)), (data - data[0])[1:]
-
-    def residuals(w: Any) -> Any:
-        fields = jax.vmap(jax.vmap(lambda x: field(x, w)))(data)
-        return jnp.einsum("kt,tmi->kmi", weights, fields) - moved
-
-    return residuals
-
-
 def learned_energy(problem: Problem, data: Any, _: Any, seconds: float) -> tuple[Any, Any]:
     """Return a function of x0 and the number of steps that returns states, and the learned energy."""
-    n = problem.algebra.dim
+    n, began = problem.algebra.dim, time.process_time()
     rows, columns = np.triu_indices(n)
-    J = -jnp.asarray([problem.algebra.structure_matrix(e) for e in np.eye(n)])
+    J = -np.array([problem.algebra.structure_matrix(e) for e in np.eye(n)])
 
     def energy(x: Any, w: Any) -> Any:
         hidden = jnp.log(jnp.cosh(w["in"] @ x + w["shift"]))
         return w["out"] @ hidden + w["linear"] @ x + w["form"] @ (x[rows] * x[columns])
 
-    residuals = field_residuals(lambda x, w: jnp.einsum("kij,k,j->i", J, x, jax.grad(energy)(x, w)), data)
+    weights, target = integrals(len(data)), (data - data[0])[1:].reshape(-1, 1)
+    structure = np.einsum("kij,tmk->tmij", J, data)
+    quadratic = structure[..., rows] * data[..., None, columns] + structure[..., columns] * data[..., None, rows]
+    known = np.einsum("kt,tmij->kmij", weights, np.concatenate([structure, quadratic], axis=3)).reshape(len(target), -1)
+
+    def unit(one: Any) -> Any:
+        """Return J(x) times the gradient of a hidden unit, in integral form."""
+        fields = jnp.tanh(data @ one["in"] + one["shift"])[..., None] * (structure @ one["in"])
+        return jnp.einsum("kt,tmi->kmi", weights, fields).ravel()
+
     e, shifts = np.eye(n), np.linspace(-1.0, 1.0, 3)
     directions = np.array([*e, *(e[i] + sign * e[j] for i, j in combinations(range(n), 2) for sign in (1, -1))])
     start = {
         "in": np.repeat(directions, len(shifts), axis=0),
         "shift": np.tile(shifts, len(directions)),
-        "out": np.zeros(len(directions) * len(shifts)),
-        "linear": np.zeros(n),
-        "form": np.zeros(len(rows)),
     }
-    began = time.process_time()
-    units = best_units(residuals, start, ("linear", "form"), UNITS)
-    start |= {name: start[name][units] for name in ("in", "shift", "out")}
-    w = fitted(residuals, start, ("out", "linear", "form"), seconds - (time.process_time() - began))
+    units = best_units(unit, known, target, start, UNITS)
+    start = {name: one[units] for name, one in start.items()}
+    w, fixed, out = fitted_units(unit, known, target, start, seconds - (time.process_time() - began))
+    w |= {"out": out[:, 0], "linear": fixed[:n, 0], "form": fixed[n:, 0]}
     system = co.LiePoissonSystem(problem.algebra, co.jax.energy(energy, w), sign=-1)
 
     def run(x0: Any, steps: int) -> Any:
@@ -222,13 +232,16 @@ def neural_ode(problem: Problem, data: Any, rng: Any, seconds: float) -> tuple[A
     def field(x: Any, w: Any) -> Any:
         return w["out"] @ jnp.tanh(w["in"] @ x + w["shift"]) + w["linear"] @ x
 
-    start = {
-        "in": 0.7 * rng.standard_normal((width, n)),
-        "shift": rng.uniform(-1, 1, width),
-        "out": 0.1 * rng.standard_normal((n, width)),
-        "linear": np.zeros((n, n)),
-    }
-    w, h = fitted(field_residuals(field, data), start, ("out", "linear"), seconds), STEP / substeps
+    start = {"in": 0.7 * rng.standard_normal((width, n)), "shift": rng.uniform(-1, 1, width)}
+    weights, target = integrals(len(data)), (data - data[0])[1:].reshape(-1, n)
+    known = np.einsum("kt,tmi->kmi", weights, data).reshape(-1, n)
+
+    def unit(one: Any) -> Any:
+        return (weights @ jnp.tanh(data @ one["in"] + one["shift"])).ravel()
+
+    w, linear, out = fitted_units(unit, known, target, start, seconds)
+    w |= {"out": out.T, "linear": linear.T}
+    h = STEP / substeps
 
     def step(x: Any, _: Any) -> Any:
         for _ in range(substeps):
@@ -261,7 +274,13 @@ def lie_poisson_network(problem: Problem, data: Any, rng: Any, seconds: float) -
     start = {name: rng.uniform(-1, 1, (n * sweeps, units)) for name in ("slope", "shift")}
     start |= {"size": 0.01 * rng.standard_normal((n * sweeps, units)), "linear": np.zeros(n * sweeps)}
     before, after = data[:-1].reshape(-1, n), data[1:].reshape(-1, n)
-    w = fitted(lambda w: jax.vmap(lambda x: step(x, w))(before) - after, start, (), seconds)
+    flat, unravel = ravel_pytree(start)
+
+    def residuals(v: Any) -> Any:
+        return (jax.vmap(lambda x: step(x, unravel(v)))(before) - after).ravel()
+
+    v, _ = least_squares(lambda v: (residuals(v), ()), lambda v, _: jax.jacfwd(residuals)(v), flat, seconds)
+    w = unravel(v)
 
     def one(x: Any, _: Any) -> Any:
         moved = step(x, w)

@@ -67,7 +67,7 @@ def fit() -> None:
         axes.plot(log.t, q[:, k], f"C{k}o", ms=3)
         axes.plot(sol.t, fitted[:, k], f"C{k}", lw=1, label=f"$q_{name}$")
     one, _, three = values["inertia"]
-    errors = [*found.standard_deviation("inertia"), *found.standard_deviation("LinearDamping.rate")]
+    errors = [*found.standard_deviation("inertia")[[0, 2]], found.standard_deviation("LinearDamping.rate")]
     numbers = f"$I_1/I_2$ = {one / 2:.4f} ± {errors[0] / 2:.4f}, $I_3/I_2$ = {three / 2:.3f} ± {errors[1] / 2:.3f}"
     axes.set(xlabel="t [s]", ylabel="quaternion")
     axes.set_title(f"{numbers}, rate = {damping.rate:.4f} ± {errors[2]:.4f}/s", fontsize=10)

@@ -115,6 +115,9 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     if not isinstance(name, str):
         listing = f"give one of the names: {', '.join(names)}" if few else f"give a name, such as {names[0]!r}"
         return ValueError(f"unknown {kind} {short(name)}; {listing}")
+    longer = [one for one in names if one.startswith(f"{name} ")][:MAX_LISTED_NAMES]
+    if longer:
+        return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(longer)}")
     near = nearest(name, names)
     if near is None and few:
         return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(names)}")
@@ -134,6 +137,7 @@ def nearest(name: str, known: Iterable[str], min_similarity: float = 0.5) -> str
     names = sorted(known)
     # Names much longer than any known one are truncated, since the time is quadratic in the length.
     beginning = name[: 2 * max(map(len, names), default=0)]
+    names = [one for one in names if _words_agree(beginning, one, min_similarity)]
     equal = [known for known in names if known.casefold() == beginning.casefold()]
     if equal:
         return equal[0]
@@ -142,6 +146,14 @@ def nearest(name: str, known: Iterable[str], min_similarity: float = 0.5) -> str
     if containing and not difflib.get_close_matches(beginning, names, n=1, cutoff=0.75):
         return min(containing, key=len)
     return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=min_similarity)), None)
+
+
+def _words_agree(name: str, known: str, min_similarity: float) -> bool:
+    """Test whether each of several words is similar to that of a known name; True for other numbers of words."""
+    pairs = list(zip(name.split(), known.split(), strict=False))
+    if len(pairs) < 2 or len(name.split()) != len(known.split()):
+        return True
+    return all(difflib.SequenceMatcher(None, *pair).ratio() >= min_similarity for pair in pairs)
 
 
 def unknown_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:

@@ -22,7 +22,7 @@ from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
+from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -73,11 +73,21 @@ class Fit:
     solution: Solution
 
     def standard_deviation(self, name: str) -> Floats:
-        """Return the standard deviations of the unknowns of a name."""
+        """Return the standard deviations of a name in the shape of its value, 0 for entries that were not fitted.
+
+        Those of "attitude0" are of its coordinates xi, in the shape of "x0".
+        """
         chosen = [k for k, (of, _) in enumerate(self.unknowns) if of == name]
+        if not chosen and name in self.values:
+            fitted = ", ".join(dict.fromkeys(of for of, _ in self.unknowns))
+            raise ValueError(f"{name} was not fitted, and has no standard deviation; fitted were: {fitted}")
         if not chosen:
-            raise unknown_name("unknown of this fit", name, dict.fromkeys(of for of, _ in self.unknowns))
-        return np.sqrt(np.diag(self.covariance)[chosen])
+            raise unknown_name("value of this fit", name, dict.fromkeys(of for of, _ in self.unknowns))
+        found = np.zeros(self.values["x0" if name == "attitude0" else name].shape)
+        entries = [self.unknowns[k][1] for k in chosen]
+        found.reshape(-1)[entries] = np.sqrt(np.diag(self.covariance)[chosen])
+        symmetric = name not in ("x0", "attitude0") and parameter_of(self.solution.system, name).symmetric
+        return np.maximum(found, found.T) if symmetric else found
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(name for name, _ in self.unknowns))

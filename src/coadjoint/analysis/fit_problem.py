@@ -190,7 +190,7 @@ class FitProblem(NamedTuple):
         fixed = unit_coordinate(ready.system.of_member(0).unforced)
         for name, entries in unknown.items():
             if name not in values:
-                raise unknown_name("unknown of this run", name, values)
+                raise unknown_name("parameter, state or attitude of this run", name, values)
             if name == "attitude0" and not len(generators):
                 raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
             members = state.size // n

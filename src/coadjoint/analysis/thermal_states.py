@@ -298,7 +298,10 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
         rows = (form.values, form.indices, form.indptr)
         return scipy.sparse.csr_matrix(rows, shape=(n, n)), form.linear, form.constant
     if isinstance(function, DipolarFunction):
-        return scipy.sparse.csr_matrix(function.matrix()), np.zeros(n), 0.0
+        at, matrix = term.coordinates, function.matrix()
+        rows_of, columns_of = np.broadcast_arrays(at[:, None], at)
+        entries = (matrix.ravel(), (rows_of.ravel(), columns_of.ravel()))
+        return scipy.sparse.csr_matrix(entries, shape=(n, n)), np.zeros(n), 0.0
     return None
 
 

@@ -61,7 +61,8 @@ def double_bracket(root: Callable[..., Any], params: Any) -> Force:
     TypeError
         As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
     ValueError
-        On the system: the root has another shape, or axes, directions or positions would be changed.
+        On the system: the root has another shape, or a part without derivative, as by ``stop_gradient``; or axes,
+        directions or positions would be changed.
 
     Notes
     -----
@@ -132,6 +133,8 @@ def energy(function: Callable[..., Any], params: Any) -> Hamiltonian:
     TypeError
         The function takes other arguments; a parameter is no array, as a tensor of PyTorch or a function, or is not of
         float64, which JAX has with ``jax.config.update("jax_enable_x64", True)``.
+    ValueError
+        In a system: the energy has a part without derivative, as by ``stop_gradient``.
 
     See Also
     --------
@@ -360,6 +363,12 @@ def solution(
 
     Notes
     -----
+    The first run warns of a step that is too large, as `integrate` does: of the members and steps of a compiled run, of
+    which with ``backend="xla"`` the first 64 and, of matrices and of functions called in Python such as those of
+    `energy`, the first 100 steps (and 8 members) are taken. With ``backend="xla"`` this is the first run outside of
+    ``jit`` and ``vmap``, without noise, and at the params of the system: other params, and flows of `features`, are
+    checked for NaN only. Give a system of the learned params to `integrate` to check their step.
+
     ``vmap`` over initial states makes one ensemble, the members of which are integrated side by side. Over parameters
     the runs follow one after the other. Second derivatives are not available. With ``backend="xla"`` they are, and
     `vmap` makes one ensemble in all cases.
@@ -456,7 +465,8 @@ def torque(function: Callable[..., Any], params: Any) -> Force:
     TypeError
         As `energy`. On the system: JAX cannot trace the function, or the system has no structure constants.
     ValueError
-        On the system: the values have another shape, or axes, directions or positions would be changed.
+        On the system: the values have another shape, or a part without derivative, as by ``stop_gradient``; or axes,
+        directions or positions would be changed.
 
     Notes
     -----

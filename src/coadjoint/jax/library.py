@@ -64,6 +64,10 @@ class JaxLibrary(ArrayLibrary):
         found = jax.eval_shape(function, params, np.zeros(n), 0.0)
         return tuple(found.shape), str(found.dtype)
 
+    def may_hide(self, function: Callable[..., Any], params: Any, n: int) -> bool:
+        operations = str(jax.make_jaxpr(function)(params, np.zeros(n), 0.0))
+        return any(name in operations for name in ("stop_gradient", "custom_vjp"))
+
     def in_numpy(self, function: Callable[..., Any]) -> Callable[..., Any]:
         compiled = jax.jit(function)
         return lambda *arguments: np.asarray(compiled(*arguments))

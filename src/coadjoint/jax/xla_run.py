@@ -40,6 +40,7 @@ from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.hamiltonians.parametrized_functions import (
     NAME,
     ParametrizedEnergy,
+    ParametrizedFeatures,
     features_of,
     function_of,
     function_with_params,
@@ -107,6 +108,8 @@ class XlaRun:
         pairs = [(function_of(term, JaxFunction)[0], term) for term in first.hamiltonian.terms()]
         learned = [(function, term) for function, term in pairs if isinstance(function, ParametrizedEnergy)]
         self._learned = learned[0][0] if learned else None
+        scheme = (method if not self._system.forces else cast(Forced, prepared.scheme).inner).expanded
+        self._by_features = isinstance(self._learned, ParametrizedFeatures) and isinstance(scheme, FlowMethod)
         self._derivatives = jax.jit(partial(_derivatives_at, [gradient_of(term) for _, term in learned], self._t0))
         self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 
@@ -140,10 +143,16 @@ class XlaRun:
             compare_with_compiled(self._steps.functions, sample_states(self._system, start), times, 0.5 * self._h)
             self._compared[start is not None] = True
         found = self.solve(values, params)
-        if NAME not in parameters and not any(value is None for value in known.values()):
+        if self._run.is_checked and not any(value is None for value in known.values()) and self._is_compiled(params):
             self._run.check_first_step(known)
         self._run.warn_of_nan(_known_numbers(found[0] if type(found) is tuple else found))
         return found
+
+    def _is_compiled(self, params: Any) -> bool:
+        """Return whether compiled loops have the run at these params: if they are those of the system, as numbers."""
+        if self._by_features or self._function is None:
+            return not self._by_features
+        return LIBRARY.are_same(self._function.params, jax.tree.map(_known_numbers, params))
 
     def _check_differentiable(self, start: Any, params: Any) -> None:
         """Raise ValueError if an energy with params has no first or second derivatives at an initial state."""

@@ -70,6 +70,7 @@ class Composition(Composed):
     tangent_on = of("expanded.tangent_on")
     linearized = of("expanded.linearized")
     tangent_loop = of("expanded.tangent_loop")
+    by_stages = of("expanded.by_stages")
     differentiates = of("expanded.differentiates")
     stored_states = of("expanded.stored_states")
     derivative_tables = of("expanded.derivative_tables")

@@ -22,10 +22,10 @@ from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, Derivative
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.sources import NO_MULTIPLES, Multiples
-from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import schemes_for
 from coadjoint.validation import read_integer
 
 MAX_STAGES = 8  # order 16, which rounding limits over any step whose stages converge
@@ -202,8 +202,8 @@ def matrices_of(system: Any) -> MatrixSystem:
     """Return a `MatrixSystem` unchanged; raise ValueError for any other system."""
     if not system.has_matrices:
         raise ValueError(
-            f"IsospectralGauss integrates matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
-            "take Splitting or GaussLegendre"
+            f"IsospectralGauss integrates matrices, but {system.name} is no MatrixSystem; "
+            f"take {schemes_for(system, 'Splitting or GaussLegendre')}"
         )
     return system
 

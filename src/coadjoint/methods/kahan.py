@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_vector_states, schemes_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,7 +67,7 @@ class Kahan(CompiledStepMethod):
         if not system.has_quadratic_energy:
             raise ValueError(
                 f"Kahan needs a quadratic vector field, but the Hamiltonian of {system.name} is not quadratic or "
-                "depends on time; take Splitting or GaussLegendre"
+                f"depends on time; take {schemes_for(system, 'Splitting or GaussLegendre')}"
             )
         if system.algebra is None and not _has_linear_structure(system):
             raise ValueError(

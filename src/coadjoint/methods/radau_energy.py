@@ -18,7 +18,7 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_vector_states, schemes_for
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "
@@ -78,7 +78,7 @@ class RadauEnergy(CompiledStepMethod):
         if system.hamiltonian.timed:
             raise ValueError(
                 f"RadauEnergy keeps the energy, but that of {system.name} depends on time; "
-                "take GaussLegendre or Splitting"
+                f"take {schemes_for(system, 'GaussLegendre or Splitting')}"
             )
         return Properties(poisson=False, energy=True, casimirs="none", attitude="none")
 

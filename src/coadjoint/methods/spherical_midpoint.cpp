@@ -61,6 +61,7 @@ struct SphericalMidpoint final : StepScheme {
             }
             if (reusing) lagged.decide(point.at);
             slope_at(field, constants, point.at, middle, h, u.data(), y.slopes.at, workspace);
+            if (reusing) y.rounding = lagged.round_off(field, constants, point.at, u.data());
         };
         // Half of h at the midpoint, which the projection stretches by at most two if spins turn by less than 120 degrees.
         if (reusing) lagged.begin(field, constants, x, h);

@@ -16,11 +16,14 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.coordinates import spins_in
+from coadjoint.systems.step_derivatives import LinearizedStep, dense_step
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_vector_states, schemes_for
 
 if TYPE_CHECKING:
     from coadjoint.methods.numerics.formal_series import FormalNumber
+
+Floats = NDArray[np.float64]
 
 
 @suggest_keywords
@@ -60,6 +63,7 @@ class SphericalMidpoint(CompiledStepMethod):
     order = 2
     explicit = False
     symmetric = True
+    by_stages = True  # type: ignore[assignment]
 
     def properties(self, system: System) -> Properties:
         """Return the properties: the bracket and every Casimir are preserved, and for some H the energy."""
@@ -79,6 +83,17 @@ class SphericalMidpoint(CompiledStepMethod):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative; TypeError if a spin has length 0."""
+        end, P, _ = self._differentiated(system, x, t, h)
+        return end, P
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        end, P, stage = self._differentiated(system, x, t, h)
+        return dense_step(end, P)._replace(stages=(stage,))
+
+    def _differentiated(
+        self, system: System, x: Any, t: float, h: float
+    ) -> tuple[Floats, Floats, tuple[NDArray[Any], NDArray[Any]]]:
+        """Return one step, its derivative by the state, and its stage y with the derivative by the field there."""
         # With y = r m / s, m = x + L/2, s its length, L = h f(y): dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s.
         step, slope = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         n, middle = len(step.x), step.x + slope / 2
@@ -91,8 +106,10 @@ class SphericalMidpoint(CompiledStepMethod):
             block = np.ix_(spin, spin)
             by_middle[block] = r / size * (np.eye(3) - np.outer(m, m) / size**2)
             by_start[block] = np.outer(m, old) / (size * r)
-        F = h * system.jacobian(on_spheres(spins_of(system), step.x, middle), t + h / 2)
-        return step.x + slope, np.eye(n) + np.linalg.solve(np.eye(n) - F @ by_middle / 2, F @ (by_middle + by_start))
+        y = on_spheres(spins_of(system), step.x, middle)
+        F = h * system.jacobian(y, t + h / 2)
+        by_field = np.linalg.inv(np.eye(n) - F @ by_middle / 2)
+        return step.x + slope, np.eye(n) + by_field @ F @ (by_middle + by_start), (y, h * by_field)
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         raise TypeError("a step of SphericalMidpoint has square roots, and is no series in exact numbers")
@@ -147,6 +164,6 @@ def spins_of(system: System) -> NDArray[np.int64]:
     if found is None:
         raise ValueError(
             f"SphericalMidpoint integrates spins, but {system.name} does not live on copies of so(3) in the "
-            "coordinates of the spins; take Splitting or GaussLegendre"
+            f"coordinates of the spins; take {schemes_for(system, 'Splitting or GaussLegendre')}"
         )
     return found.coordinates

@@ -42,7 +42,7 @@ from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_vector_states, schemes_for
 from coadjoint.validation import read_bool, read_integer, read_number
 
 MAX_ORDER = 64  # higher terms are below rounding in all steps that converge
@@ -160,9 +160,10 @@ class Taylor(CompiledStepMethod):
                 "GaussLegendre"
             )
         if any(term.degree is None for term in system.hamiltonian.terms()):
+            schemes = schemes_for(system, "GaussLegendre or Splitting")
             raise ValueError(
                 f"Taylor multiplies series, but the Hamiltonian of {system.name} has a function in it; give a "
-                "polynomial, or take GaussLegendre or Splitting"
+                f"polynomial, or take {schemes}"
             )
         casimirs = casimirs_restored(system) if self.projected else "none"
         return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="group")

@@ -194,6 +194,21 @@ class EnergyDerivative(NamedTuple):
             total[function.entries] += function.gradient(x[function.coordinates]) @ w[function.coordinates]
         return total
 
+    def gradient(self, x: Floats, direction: Floats) -> Floats:
+        """Return the gradient (n,) at a state of the derivative of the energy along entries (size,)."""
+        total = np.zeros(len(x))
+        np.add.at(total, self.linear, self.linear_factor * direction[self.linear_entry])
+        (i, j), weights = self.quadratic.T, self.quadratic_factor * direction[self.quadratic_entry]
+        np.add.at(total, i, weights * x[j])
+        np.add.at(total, j, weights * x[i])
+        for one in self.others:
+            for k, coordinate in enumerate(one.coordinates):
+                rest = one.coordinates[:k] + one.coordinates[k + 1 :]
+                total[coordinate] += direction[one.entry] * one.factor * np.prod(x[list(rest)])
+        for function in self.functions:
+            total[function.coordinates] += direction[function.entries] @ function.gradient(x[function.coordinates])
+        return total
+
     def at(self, x: Floats) -> Floats:
         """Return the derivatives of the energy at states (..., n), shape (..., size)."""
         flat = x.reshape(-1, x.shape[-1])

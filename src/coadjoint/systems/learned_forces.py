@@ -14,6 +14,7 @@ from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.orbit_flow import exponential, midpoint
 from coadjoint.systems.forces.torque import StateTorque, is_on_bodies, places_of_torques, shapes_on
 from coadjoint.systems.hamiltonians.parametrized_functions import ParametrizedFunction
+from coadjoint.systems.user_functions import check_derivative
 
 
 class ParametrizedTorque(ParametrizedFunction):
@@ -80,7 +81,25 @@ class LearnedFunction:
             ) from reason
         if kind != "float64":
             raise TypeError(f"{learned.what} returns numbers of {kind}, not of float64{self.library.float64_hint}")
+        if self.library.may_hide(self.raw, learned.params, system.dim):
+            self._check_slopes(shape)
         return shape
+
+    def _check_slopes(self, shape: tuple[int, ...]) -> None:
+        """Raise ValueError if values are random, or their automatic derivative by the state lacks a part."""
+        library, params = self.library, self.learned.params
+        weights = library.numbers(np.cos(np.arange(1.0, 1.0 + np.prod(shape, dtype=int))).reshape(shape))
+
+        def weighted(x: Any, t: Any) -> Any:
+            return (weights * self.raw(params, x, t)).sum()
+
+        def slopes(x: Any, t: Any) -> Any:
+            return library.vjp(lambda x: weighted(x, t), x)[1](library.numbers(1.0))[0]
+
+        n, names = self.system.dim, (f"a sum of the components of {self.learned.what}", "gradient")
+        derivative: Any = library.in_numpy(slopes)
+        derivative.automatic = True
+        check_derivative(library.in_numpy(weighted), derivative, names=names, shapes=((), (n,)), n=n, timed=True)
 
 
 class LearnedLaw:

@@ -58,12 +58,16 @@ def _difference(
 
 
 class LinearizedStep(NamedTuple):
-    """A step and its derivative: `tangents` maps (k, n) forward, `cotangent` (n,) back; `by` says how."""
+    """A step and its derivative: `tangents` maps (k, n) forward, `cotangent` (n,) back; `by` says how.
+
+    Of `stages`, pairs of a state y and a matrix (n, n), the matrix takes a change of the field at y to that of the end.
+    """
 
     end: Floats
     tangents: Callable[[Floats], Floats]
     cotangent: Callable[[Floats], Floats]
     by: str = "formula"
+    stages: tuple[tuple[Floats, Floats], ...] = ()
 
 
 def dense_step(end: Floats, derivative: Floats, by: str = "formula") -> LinearizedStep:
@@ -88,4 +92,7 @@ def joined_steps(steps: Sequence[LinearizedStep]) -> LinearizedStep:
             row = step.cotangent(row)
         return row
 
-    return LinearizedStep(steps[-1].end, tangents, cotangent)
+    stages: list[tuple[Floats, Floats]] = []
+    for step in steps:
+        stages = [(y, np.asarray(step.tangents(S.T).T)) for y, S in stages] + [*step.stages]
+    return LinearizedStep(steps[-1].end, tangents, cotangent, stages=tuple(stages))

@@ -27,13 +27,19 @@ from coadjoint.systems.coordinates import KINDS, coordinate_names, numberless
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.user_functions import check_places, check_skew, takes_time
+from coadjoint.systems.user_functions import check_places, check_skew, takes_time, without_multiples
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
 
 
 def read_name(name: Any, default: str) -> str:
     """Return the validated name, or `default` if it is None."""
     return default if name is None else read_title(name, "name of a system")
+
+
+def schemes_for(system: Any, usual: str) -> str:
+    """Return the schemes to name where one refuses a system: those of a function that is not split, or usual ones."""
+    functions = (without_multiples(getattr(term, "value", None))[0] for term in system.hamiltonian.terms())
+    return next((one.other_schemes for one in functions if hasattr(one, "other_schemes")), usual)
 
 
 def read_sign(sign: int, what: str = "sign") -> int:

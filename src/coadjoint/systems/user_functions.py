@@ -22,6 +22,7 @@ from coadjoint.validation import read_numbers
 LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
 MOVED = 2.0**-30  # part of its arguments by which those of a function may be moved for the same values
+AUTOMATIC_DIRECTIONS = 4  # along all of which an automatic gradient is wrong before it is refused
 KNOWN_NAMES = {
     "x": ("x", "x0", "y", "z", "X", "Y", "Z", "L", "M", "S", "W", "state", "momentum"),
     "t": ("t", "time"),
@@ -305,11 +306,15 @@ def check_derivative(
 ) -> None:
     """Raise an error if `derivative` has the wrong shape, or disagrees with the central difference of `function`.
 
-    Automatic derivatives are not compared: where large terms cancel, the round-off of a difference is not known.
+    Of automatic derivatives only gradients are compared, by several directions at several points: where large terms
+    cancel, the round-off of a difference is not known.
     """
-    evaluated, failure = False, ""
+    evaluated, failure, contradictions = False, "", list[str]()
     failures: list[Exception] = []
-    for x in sample_points(1 if n is None else n):
+    is_automatic = getattr(without_multiples(derivative)[0], "automatic", False)
+    draws = np.random.default_rng(SEED + 2).standard_normal((AUTOMATIC_DIRECTIONS if is_automatic else 1, n or 1))
+    points = sample_points(n or 1)
+    for x in points:
         argument = x if n is not None else float(x[0])
         value, slope = (evaluate(one, argument, timed, failures=failures) for one in (function, derivative))
         if value is None or slope is None:
@@ -320,36 +325,59 @@ def check_derivative(
         for name, result, shape in zip(names, (value, slope), shapes, strict=True):
             if result.shape != shape:
                 raise ValueError(f"{name} returns shape {result.shape} at a sample point; it must return {shape}")
-        is_automatic = getattr(derivative, "automatic", False)
-        if not is_automatic and np.all(np.isfinite(value)) and np.all(np.isfinite(slope)):
-            _compare(function, value, slope, x, names, n, timed)
+        if not (np.all(np.isfinite(value)) and np.all(np.isfinite(slope))) or (is_automatic and shapes[0]):
+            continue
+        if is_automatic:
+            _check_repeatable(function, value, argument, names[0], timed)
+            if not np.any(value):  # slopes may be what is left of terms that cancel
+                continue
+        found = [_contradiction(function, value, slope, x, draw, names, n, timed) for draw in draws]
+        if None not in found:
+            contradictions.append(str(found[0]))
     if not evaluated:
         raise ValueError(f"{names[0]} or {names[1]} fails at every sample point ({failure}); correct the function")
+    if is_automatic and len(contradictions) >= min(2, len(points)):
+        raise ValueError(
+            f"{contradictions[0]}; the automatic {names[1]} is incomplete: the function hides a part of itself by "
+            "detach, no_grad, stop_gradient or the like, or computes in a lower precision"
+        )
+    if contradictions and not is_automatic:
+        raise ValueError(f"{contradictions[0]}; correct the one that is wrong")
 
 
-def _compare(
+def _check_repeatable(function: Callable[..., Any], value: Any, argument: Any, name: str, timed: bool) -> None:
+    again = evaluate(function, argument, timed)
+    if again is None or np.any(np.abs(again - value) > MOVED * np.abs(value)):
+        raise ValueError(
+            f"{name} is random: it is {short(value.tolist())} and then {short(np.asarray(again).tolist())} at one "
+            "sample point; give a function of its arguments alone, such as a module after eval() without its dropout"
+        )
+
+
+def _contradiction(
     function: Callable[..., Any],
     value: npt.NDArray[np.float64],
     slope: npt.NDArray[np.float64],
     x: npt.NDArray[np.float64],
+    draw: npt.NDArray[np.float64],
     names: tuple[str, str],
     n: int | None,
     timed: bool,
-) -> None:
-    direction = np.random.default_rng(SEED + 2).standard_normal(x.size)
-    direction /= np.linalg.norm(direction)
+) -> str | None:
+    """Return how a derivative contradicts the central difference of a function along a direction; None if not."""
+    direction = draw / np.linalg.norm(draw)
     found = difference_along(function, value, x, direction, timed, vector=n is not None)
     if found is None:
-        return
+        return None
     fine, tolerance = found
     declared = slope @ direction if n is not None else slope * direction[0]
-    error = np.abs(fine - declared).max(initial=0.0)
-    if error > tolerance:
-        index = np.unravel_index(np.argmax(np.abs(fine - declared)), np.shape(fine)) if np.ndim(fine) else ()
-        raise ValueError(
-            f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(declared[index]):.6g}, "
-            f"but the central difference of {names[0]} is {float(fine[index]):.6g}; correct the one that is wrong"
-        )
+    if np.abs(fine - declared).max(initial=0.0) <= tolerance:
+        return None
+    index = np.unravel_index(np.argmax(np.abs(fine - declared)), np.shape(fine)) if np.ndim(fine) else ()
+    return (
+        f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(declared[index]):.9g}, but the "
+        f"central difference of {names[0]} is {float(fine[index]):.9g}"
+    )
 
 
 def check_skew(function: Callable[..., Any], n: int) -> None:

@@ -51,7 +51,7 @@ def double_bracket(root: Callable[..., Any], params: Any = None) -> Force:
     TypeError
         As `energy`. On the system: the function fails, or the system has no structure constants.
     ValueError
-        On the system: the root has another shape.
+        On the system: the root has another shape, is random, or has a part without derivative, as by ``detach``.
 
     Notes
     -----
@@ -112,7 +112,8 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
         The function takes other arguments or returns no number of float64, or a parameter is not of float64, which
         modules have by ``module.double()``.
     ValueError
-        In a system: the energy is not that of a state of its dimension.
+        In a system: the energy is not that of a state of its dimension, is random, such as a module with active
+        dropout, or has a part without derivative, as by ``detach``.
 
     See Also
     --------
@@ -262,6 +263,10 @@ def solution(
     differentiated as the solution of their equations, to every order. The stages of all steps are stored for reverse
     mode.
 
+    The first run warns of a step that is too large, as `integrate` does. With params this is the first run outside of
+    transformations, without noise, at the params of the system, by a compiled run of the first 8 members and 100 steps:
+    other params, and flows of `features`, are checked for NaN only.
+
     See Also
     --------
     coadjoint.PreparedRun.vjp : Gradients without PyTorch.
@@ -338,7 +343,8 @@ def torque(function: Callable[..., Any], params: Any = None) -> Force:
     TypeError
         As `energy`. On the system: the function fails, or the system has no structure constants.
     ValueError
-        On the system: the values have another shape, or axes, directions or positions would be changed.
+        On the system: the values have another shape, are random, or have a part without derivative, as by ``detach``;
+        or axes, directions or positions would be changed.
 
     Notes
     -----

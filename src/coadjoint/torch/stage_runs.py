@@ -125,11 +125,16 @@ class StageRun:
             found = trajectory(x0, members, *leaves)
         else:
             found = torch.func.vmap(trajectory, (0, 0, *[None] * len(leaves)), 1)(x0, members, *leaves)
-        if known is not None and NAME not in parameters:
+        if known is not None and self._run.is_checked and self._is_compiled(params):
             self._run.check_first_step({"x0": known[0]})
         states = _known_numbers(found)
         self._run.warn_of_nan(None if states is None else states[0])
         return found
+
+    def _is_compiled(self, params: Any) -> bool:
+        """Return whether compiled loops have the run at these params: if they are those of the system."""
+        own = LIBRARY.are_same(self._function.params, _pytree.tree_map(lambda one: one.detach(), params))
+        return own and self._inner != self._flows_of_features
 
     def _check_differentiable(self, start: Any, params: Any) -> None:
         """Raise ValueError if the energy has no first or second derivatives at an initial state."""

@@ -185,7 +185,12 @@ def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimir
     ends = [[ready(moved_matrix(M, [k], [by])).run(starts, *run).x.ravel() for by in (h, -h)] for k in chosen]
     J = np.array([after - before for after, before in ends]).T / (2 * h * sigma["x"])
     np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-4, atol=1e-6 * found.covariance.max())
-    assert len(found.standard_deviation("M")) == len(chosen)
+    deviation = found.standard_deviation("M")
+    np.testing.assert_array_equal(deviation.ravel()[chosen], np.sqrt(np.diag(found.covariance)))
+    np.testing.assert_array_equal(deviation, deviation.T)
+    assert np.count_nonzero(np.triu(deviation)) == len(chosen)
+    with refused(ValueError, "x0 was not fitted", "M"):
+        found.standard_deviation("x0")
 
 
 @pytest.mark.parametrize(

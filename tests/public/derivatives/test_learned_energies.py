@@ -1,5 +1,7 @@
 """Energies with parameters in runs of JAX: against SciPy, and what they preserve for all parameters."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -237,6 +239,32 @@ def test_a_processed_run_is_continued_where_it_ended():
     np.testing.assert_allclose(again, end, rtol=0, atol=1e-13)
 
 
+def turning(x, params):
+    return x @ (params * x) / 2
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_first_runs_warn_of_a_large_step(forced):
+    """At the params of the system, given or not, also in a gradient; not at others, of slow motions and of features."""
+    x0, params = np.array([0.3, 1.0, 0.2]), np.array([1.0, 0.5, 0.4])
+    given = {"params": params} if forced else {}
+    system = co.LiePoissonSystem(get("so(3)"), co.jax.energy(turning, params), sign=-1)
+    if forced:
+        system = system.with_forces(co.jax.torque(lambda x, params: -1e-3 * params[0] * x, params))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        run = co.jax.solution(system, (1, 81), method=co.GaussLegendre(1), step=2.0)
+        run(np.tile(x0, (9, 1)), params=1.01 * params)
+        with pytest.warns(co.LargeStepWarning, match="the step 2 is too large"):
+            jax.grad(lambda x: run(x, **given)[-1].sum())(np.tile(x0, (9, 1)))
+        run(x0, **given)
+        slow = co.jax.solution(system, (81, 1), method=co.GaussLegendre(1), step=2.0)
+        assert np.isfinite(slow(2.0**-6 * x0, **given)).all()
+    explicit = co.LiePoissonSystem(get("so(3)"), features(weights(3)), sign=-1)
+    run = co.jax.solution(explicit, (0, 80), method=co.Splitting(), step=2.0)
+    np.testing.assert_allclose((run(x0) ** 2).sum(axis=1), x0 @ x0, rtol=1e-12)
+
+
 @pytest.mark.long
 def test_certify_takes_a_map():
     algebra = get("so(3)")
@@ -394,6 +422,10 @@ LEARNED = {
         ["x0", "[0.0, 0.5, 1.0]", "second derivative", "inf"],
     ),
     "tensor x0": (lambda: run_of()(OfTorch()), TypeError, ["x0", "PyTorch", "co.torch"]),
+    "stop_gradient": (
+        lambda: bound(co.jax.energy(lambda x, p: p @ x**2 * jax.lax.stop_gradient(x)[0], np.ones(3))), ValueError,
+        ["gradient contradicts value", "stop_gradient"],
+    ),
     "module H": (lambda: bound(OfTorch()), TypeError, ["PyTorch", "co.torch.energy"]),
 }  # fmt: skip
 

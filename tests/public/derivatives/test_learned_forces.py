@@ -235,6 +235,10 @@ def matrices():
     return co.systems.sphere_euler(N=4)
 
 
+half_of_slope = jax.custom_vjp(lambda x: x**2)
+half_of_slope.defvjp(lambda x: (x**2, x), lambda x, cotangent: (cotangent * x,))
+
+
 REFUSED = {
     "no function": (lambda: co.jax.torque(3.0, {}), TypeError, ["co.jax.torque", "N(x, params)"]),
     "params, x": (lambda: co.jax.double_bracket(lambda params, x: x, {}), TypeError, ["(x, params)", "this order"]),
@@ -245,12 +249,27 @@ REFUSED = {
     "float32": (
         lambda: with_force(co.jax.torque(lambda x, p: x.astype("float32"), {})), TypeError, ["float32", "float64"]
     ),
+    "stop_gradient": (
+        lambda: with_force(co.jax.torque(lambda x, p: -jnp.sum(jax.lax.stop_gradient(x) ** 2) * x, {})), ValueError,
+        ["torque", "contradicts", "stop_gradient"],
+    ),
+    "custom_vjp": (
+        lambda: with_force(co.jax.torque(lambda x, p: -p * half_of_slope(x), np.array(0.1))), ValueError,
+        ["torque", "contradicts", "incomplete"],
+    ),
     "axis": (
         lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["direction"]
     ),
     "matrices": (lambda: with_force(co.jax.torque(lambda x, p: x, {}), matrices()), TypeError, ["co.jax.torque"]),
     "other params": (of_other_params, TypeError, ["co.jax.energy", "co.jax.torque", "one tree"]),
 }  # fmt: skip
+
+
+def test_a_torque_that_stops_no_part_of_its_slope_is_taken():
+    """The shift of exponents in `softmax` is stopped, and its slope vanishes."""
+    torque = co.jax.torque(lambda x, params: -params * jax.nn.softmax(1e3 * x) * x, np.array(0.3))
+    sol = co.integrate(with_force(torque), np.array([0.3, 0.8, 0.5]), (0, 1), 0.1, co.GaussLegendre(2))
+    assert 0.5 < np.linalg.norm(sol.x[-1]) < 0.9 < np.linalg.norm(sol.x[0])
 
 
 @pytest.mark.parametrize("name", REFUSED)

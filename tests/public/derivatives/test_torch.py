@@ -1,6 +1,8 @@
 """Runs as functions of PyTorch: values, derivatives and refused arguments; `make torch` installs it."""
 
+import itertools
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -398,6 +400,23 @@ def test_casimirs_stay_and_steps_without_stages_are_nan():
     assert torch.equal(by_vmap(many).isnan(), found.isnan())
 
 
+def test_first_runs_warn_of_a_large_step():
+    """At the params of the system, given or not; not at others, of slow motions and of features."""
+    params = torch.tensor([1.0, 0.5, 0.4], dtype=torch.float64)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(lambda x, params: x @ (params * x) / 2, params))
+    for given in ({}, {"params": params}):
+        run, slow = (co.torch.solution(system, (0, 80), method=co.GaussLegendre(1), step=2.0) for _ in range(2))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", co.LargeStepWarning)
+            run(MANY[:1], params=1.01 * params)
+            slow(2.0**-6 * X0)
+            with pytest.warns(co.LargeStepWarning, match="the step 2 is too large"):
+                run(MANY[:1], **given)
+            run(MANY[:1], **given)
+    explicit = body(co.torch.features(feature, *feature_params(3)), method=co.Splitting(), step=1.0)
+    torch.testing.assert_close((explicit(X0) ** 2).sum(1), torch.full((2,), X0 @ X0, dtype=torch.float64))
+
+
 def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
     """Pairs of units whose outputs differ by one: the states of the compiled run."""
     size, rng = 1e4, np.random.default_rng(2)
@@ -411,7 +430,45 @@ def test_stages_of_large_weights_that_cancel_converge_to_their_roundoff():
     np.testing.assert_allclose(found, co.integrate(system, MANY, (0, 1), **arguments).x, rtol=0, atol=allowed)
 
 
-def test_automatic_derivatives_are_not_judged_by_differences():
+ACTIVATIONS = {
+    "tanh": torch.tanh,
+    "sin": torch.sin,
+    "relu": torch.relu,
+    "gelu": torch.nn.functional.gelu,
+    "softmax": lambda y: torch.softmax(y, 0),
+    "bump": lambda y: torch.exp(-(y**2)),
+}
+
+
+def layer(units, w):
+    """An energy and a torque of one layer of units."""
+
+    def energy(x, w):
+        return w["out"] @ units(w["in"] @ x + w["shift"])
+
+    def torque(x, w):
+        return w["in"].T @ (w["out"] * units(w["in"] @ x + w["shift"]))
+
+    return co.torch.energy(energy, w), co.torch.torque(torque, w)
+
+
+@pytest.mark.parametrize("name", ACTIVATIONS)
+def test_right_functions_are_not_refused(name):
+    """Slow and fast units, kinks, saturation; small and large outputs; pairs of units that cancel."""
+    for size, output in itertools.product([1e-3, 1.0, 1e2, 1e5], [1e-8, 1.0, 1e8]):
+        rng = np.random.default_rng(4)
+        w = {"in": size * rng.standard_normal((8, 3)), "shift": rng.standard_normal(8)}
+        w["out"] = output * rng.standard_normal(8)
+        pairs = {"in": np.concatenate([w["in"], w["in"] * (1.0 + 1e-10)]), "shift": np.tile(w["shift"], 2)}
+        pairs["out"] = np.concatenate([w["out"], -w["out"]])
+        for one in (w, pairs):
+            H, torque = layer(ACTIVATIONS[name], one)
+            system = co.LiePoissonSystem(co.algebras.so(3), H).with_forces(torque)
+            slope = system.hamiltonian.gradient(X0)
+            assert np.isfinite(slope).all() and len(system.forces) == 1
+
+
+def test_saturated_units_have_the_motion_of_their_slopes():
     """The slopes of saturated units, 1 - tanh^2, have few digits, and so do differences of them."""
     w = {"in": np.ones((4, 3)), "out": np.ones(4)}
     system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(lambda x, p: p["out"] @ torch.tanh(p["in"] @ x), w))
@@ -432,12 +489,33 @@ def root(x, params):
     return params @ x.abs() ** 0.5
 
 
+def partly_without_grad(x, params):
+    with torch.no_grad():
+        size = torch.linalg.norm(x)
+    return params @ x + size
+
+
+def with_dropout():
+    """A module as it is made: in training."""
+    return torch.nn.Sequential(torch.nn.Linear(3, 8), torch.nn.Dropout(0.5), torch.nn.Linear(8, 1)).double()
+
+
 LEARNED = {
     "no params": (lambda: co.torch.energy(network), TypeError, ["without params"]),
     "params, x": (lambda: co.torch.energy(lambda params, x: x[0], {}), TypeError, ["(x, params)", "this order"]),
     "float32": (lambda: co.torch.energy(torch.nn.Linear(3, 1)), TypeError, ["weight", "float32", "module.double()"]),
     "text": (lambda: co.torch.energy(network, {"in": "abc"}), TypeError, ["params['in']", "abc"]),
     "vector": (lambda: body(co.torch.energy(lambda x, params: x, {})), ValueError, ["(3,)", "one number"]),
+    "detach": (
+        lambda: body(co.torch.energy(lambda x, p: x[0] ** 2 + p @ x * x.detach()[1], X0)), ValueError,
+        ["gradient contradicts value", "detach"],
+    ),
+    "no_grad": (lambda: body(co.torch.energy(partly_without_grad, X0)), ValueError, ["contradicts", "no_grad"]),
+    "detached feature": (
+        lambda: body(co.torch.features(lambda y, p: p["size"] * y * y.detach(), *feature_params(3))), ValueError,
+        ["contradicts", "detach"],
+    ),
+    "dropout": (lambda: body(co.torch.energy(with_dropout())), ValueError, ["random", "eval()", "dropout"]),
     "module": (lambda: body(torch.nn.Linear(3, 1)), TypeError, ["module of PyTorch", "co.torch.energy"]),
     "plain": (lambda: body(lambda x: torch.as_tensor(x).sum()), TypeError, ["co.torch.energy"]),
     "shape": (lambda: learned_run()[0](X0[:2]), ValueError, ["(2,)", "(3,)"]),

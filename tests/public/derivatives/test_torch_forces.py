@@ -164,6 +164,18 @@ REFUSED = {
     "root": (lambda: run_of(co.torch.double_bracket(lambda x, p: x[:2], {})), ValueError, ["(2,)", "(3, k)"]),
     "fails": (lambda: run_of(co.torch.torque(lambda x, p: p @ x, np.ones(2))), TypeError, ["torque", "PyTorch"]),
     "float32": (lambda: run_of(co.torch.torque(lambda x, p: x.float(), {})), TypeError, ["float32", "float64"]),
+    "detach": (
+        lambda: run_of(co.torch.torque(lambda x, p: -p * x.detach().norm() * x, np.array(0.1))), ValueError,
+        ["torque", "contradicts", "detach"],
+    ),
+    "detached root": (
+        lambda: run_of(co.torch.double_bracket(lambda x, p: p * x.detach() + x, np.array(0.1))), ValueError,
+        ["root", "contradicts", "detach"],
+    ),
+    "random": (
+        lambda: run_of(co.torch.torque(lambda x, p: -p * x * torch.rand(3).double(), np.array(0.1))), ValueError,
+        ["torque", "random"],
+    ),
     "axis": (lambda: run_of(torque(), system=co.systems.heavy_top()), ValueError, ["direction"]),
     "matrices": (lambda: run_of(torque(), system=co.systems.sphere_euler(N=4)), TypeError, ["co.torch.torque"]),
     "other params": (

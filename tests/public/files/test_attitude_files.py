@@ -303,7 +303,7 @@ def test_a_fit_of_a_log(tmp_path):
         observe={"seen": seen},
     )
     error = np.abs(found.values["inertia"] - inertia)[[0, 2]]
-    assert (error < 5 * found.standard_deviation("inertia")).all() and (error < 0.01).all()
+    assert (error < 5 * found.standard_deviation("inertia")[[0, 2]]).all() and (error < 0.01).all()
 
 
 WRONG = {

@@ -238,7 +238,7 @@ def test_derivatives_and_integrals(name):
     system = SYSTEMS[name]()
     count = len(system.masses)
     r = 4.0 * np.array([[0.0, 0.0, 0.0], [1.0, 0.4, -0.6], [-0.3, 1.0, 0.7]])[:count]
-    x = system.state(r, attitudes=Rotation.random(count, rng=1))
+    x = system.state(r, attitudes=Rotation.random(count, 1))
     for integral_ in system.integrals.values():
         assert abs(integral_.gradient(x) @ system.vector_field(x)) < 1e-14 * np.abs(system.vector_field(x)).max() * 10
     x = x + 0.01 * np.random.default_rng(2).normal(size=x.shape)

@@ -146,3 +146,66 @@ def test_many_spins():
     middle, old = (x + new).reshape(-1, 3), x.reshape(-1, 3)
     y = middle * (np.linalg.norm(old, axis=1) / np.linalg.norm(middle, axis=1))[:, None]
     assert np.max(np.abs(new - x - 0.1 * system.vector_field(y.ravel()))) < 64 * UNIT_ROUNDOFF
+
+
+def declared(values, sign=1):
+    """Return two spins and a central coordinate in fields and couplings, and terms of the third degree."""
+    M, linear, coefficients = values
+    terms = {(1, 1, 0, 0, 1, 0, 0): coefficients[0], (0, 0, 2, 0, 0, 1, 0): coefficients[1]}
+    H = co.Polynomial(terms) if M is None else co.Quadratic(M, linear)
+    return co.LiePoissonSystem(arranged((0, 1, 2, 3, 4, 5), (2.5, -0.5), extra=1), H, sign=sign)
+
+
+@pytest.mark.parametrize("method", [co.SphericalMidpoint(), co.Composition(co.SphericalMidpoint(), (0.7, -0.4, 0.7))])
+@pytest.mark.parametrize("form", ["quadratic", "cubic"])
+def test_derivatives_by_parameters_are_exact(method, form):
+    """Backward in time, of several steps: `vjp` and `jvp` against Richardson differences of runs of other systems."""
+    rng = np.random.default_rng(5)
+    M, linear, pair = full(7, 7, 0.3), rng.uniform(-1, 1, 7), np.array([0.5, -0.3])
+    values = (M, linear, pair) if form == "quadratic" else (None, None, pair)
+    moved = rng.uniform(-1, 1, (7, 7)), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 2)
+    directions = {"M": moved[0] + moved[0].T, "linear": moved[1]} if form == "quadratic" else {"coefficients": moved[2]}
+    if form == "quadratic":
+        moved = directions["M"], moved[1], 0 * pair
+    x, span, h = rng.uniform(-1, 1, 7), (0.3, -0.3), 2.0**-9
+    ready = co.prepare(declared(values, -1), method, step=0.1)
+    sol, pullback = ready.vjp(x, span)
+    weights = rng.uniform(-1, 1, sol.x.shape)
+    gradient, tangents = pullback(x=weights), ready.jvp(x, span, directions)[1]
+    assert set(gradient.rule.values()) == {"exact"}
+
+    def along(distance):
+        ends = [
+            co.integrate(
+                declared([v if v is None else v + s * distance * d for v, d in zip(values, moved, strict=True)], -1),
+                x, span, 0.1, method,
+            ).x
+            for s in (1, -1)
+        ]  # fmt: skip
+        return (ends[0] - ends[1]) / (2 * distance)
+
+    expected = (4 * along(h / 2) - along(h)) / 3  # with an error of some h^4 and of the round-off over h
+    np.testing.assert_allclose(tangents.x, expected, rtol=0, atol=1e-9)
+    found = sum(float(np.sum(gradient[name] * direction)) for name, direction in directions.items())
+    assert abs(found - np.sum(weights * expected)) < 1e-8
+    assert np.abs(expected).max() > 0.01
+
+
+def test_derivatives_by_parameters_beside_inputs():
+    """Of a run with its linear term as inputs: those by M and by the inputs, against differences of runs."""
+    M, x, u, span = full(7, 7, 0.3), np.linspace(-1, 1, 7), {"linear": np.linspace(0.4, -0.3, 7)}, (1.0, 1.3)
+    D, weights = full(7, 8), np.linspace(1, -1, 7)
+
+    def ready(by=0.0):
+        system = declared((M + by * D, np.zeros(7), (0, 0)))
+        return co.prepare(system, co.SphericalMidpoint(), step=0.1, inputs=True)
+
+    sol, pullback = ready().vjp(x, span, **u)
+    gradient, h = pullback(x=np.concatenate([np.zeros((len(sol.x) - 1, 7)), weights[None]])), 2.0**-13
+
+    def end(by_matrix, by_input):
+        return ready(by_matrix).run(x, span, linear=u["linear"] + by_input).x[-1] @ weights
+
+    assert abs(np.sum(gradient["M"] * D) - (end(h, 0) - end(-h, 0)) / (2 * h)) < 1e-7
+    e = h * np.eye(7)[1]
+    assert abs(gradient["inputs"]["linear"][1] - (end(0, e) - end(0, -e)) / (2 * h)) < 1e-7

@@ -612,7 +612,6 @@ def test_meetings(tmp_path):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda m: m.dipolar(), "dipolar is not available"),
         (lambda m: m.substitute("Ni", 0.5, 1, spin=2.0), "substitute is not available"),
         (lambda m: m.single_ion("Ni", np.diag([0.0, 0.0, -0.1])), "time reversal"),
         (lambda m: m.single_ion("Ni", np.triu(np.ones((3, 3)))), "not Hermitian"),

@@ -125,6 +125,27 @@ def test_exchange_constants_are_fitted(mode, change):
     assert abs(fitted.energy(x) - model(mode, change).energy(x)) < 1e-9
 
 
+def test_unknown_names_of_a_fit_list_what_is_there():
+    x, ready = start(model()), co.prepare(model(), co.Splitting(order=4), step=0.05)
+    measured = {"x": ready.run(x, (0, 0.2)).x}
+
+    def fitted(**unknown):
+        return co.fit(ready, x, (0, 0.2), measured, unknown, sigma={"x": 0.01})
+
+    with refused(
+        ValueError, "parameter, state or attitude of this run 'exchange 1'; there are: " + ", ".join([*VALUES][:4])
+    ):
+        fitted(**{"exchange 1": True})
+    with pytest.raises(ValueError, match="'A Fe 0'; there are: J3, ") as caught:
+        fitted(**{"A Fe 0": True})
+    assert "mean" not in str(caught.value)
+    found = fitted(J3=True)
+    assert found.standard_deviation("J3").shape == found.values["J3"].shape == ()
+    assert found.standard_deviation("J3") == np.sqrt(found.covariance[0, 0])
+    with refused(ValueError, "exchange 1 A was not fitted", "fitted were: J3"):
+        found.standard_deviation("exchange 1 A")
+
+
 def test_all_constants_of_bonds():
     """Numbers, matrices, vectors and K, of one name or several, on a bond without symmetry; the sum of all is H."""
     crystal = co.spins.crystal(lattice=(1, 3, 4, 90, 80, 90), sites={"Cu": (0, 0, 0)}, space_group="P 1")

@@ -141,6 +141,14 @@ def test_stages_of_many_dipoles():
     assert np.abs(run.x[-1] - fine.x[-1]).max() < 1e-9
 
 
+def test_energies_with_reused_fields_do_not_drift():
+    """Steps round energies of spins, about five times the rounding, independently; that of fields has a sign."""
+    steps, lattice = 1000, co.systems.spin_lattice("cubic", (10, 9, 8), exchange=-1.0, dipolar=1.0)
+    x0 = [start(lattice, seed) for seed in range(3)]
+    run = co.integrate(lattice, x0, (0, 0.01 * steps), 0.01, co.GaussLegendre(1), save_every=steps)
+    assert abs(np.mean(run.energy[-1] - run.energy[0])) / 720 < 5.0 * ROUNDING * np.sqrt(steps / 720 / 3)
+
+
 @pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(2), co.SphericalMidpoint()], ids=str)
 @pytest.mark.parametrize("sites", [12, 400])
 def test_the_same_bits(sites, method, tmp_path):

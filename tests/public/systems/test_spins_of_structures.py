@@ -144,7 +144,12 @@ def test_astroid_of_stoner_and_wohlfarth(tmp_path, angle):
 def test_files_of_the_package():
     iron = co.spins.crystal(co.spins.structure("FeI2")).subcrystal("Fe")
     assert [len(bond.basis) for bond in iron.bonds(7.9)] == [4, 2, 4, 6]
-    with refused(ValueError, "MnF2", "FeI2"):
+    for name, label, neighbours, distance in (("RbMnF3", "Mn", 6, 4.24), ("CsNiF3", "Ni", 2, 5.242 / 2)):
+        whole = co.spins.crystal(co.spins.structure(name))
+        nearest = next(iter(whole.subcrystal(label).bonds(4.5)))
+        assert nearest.coordination == neighbours and abs(nearest.distance - distance) < 1e-12
+        assert len(whole.labels) * 2 == (10 if name == "RbMnF3" else 20)  # ABF3, two formula units in the chains
+    with refused(ValueError, "MnF2", "FeI2", "RbMnF3", "CsNiF3"):
         co.spins.structure("NaCl")
 
 

@@ -44,7 +44,7 @@ def evaluate(
             if isinstance(result, bool | np.bool_):
                 raise TypeError("it returns a truth value, as a comparison does")
             return np.asarray(result, dtype=np.float64) if convert else result
-        except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
+        except (ArithmeticError, ValueError, TypeError, IndexError, RuntimeError) as reason:
             if failures is not None:
                 failures.append(reason)
             return None

@@ -122,9 +122,9 @@ def structure(name: str) -> Path:
 
     Parameters
     ----------
-    name : {"FeI2", "MnF2"}
-        FeI2: triangular layers of easy-axis spins; MnF2: an easy-axis antiferromagnet. The files name the sources of
-        their cell constants.
+    name : {"CsNiF3", "FeI2", "MnF2", "RbMnF3"}
+        CsNiF3: ferromagnetic chains; FeI2: triangular layers of easy-axis spins; MnF2: an easy-axis antiferromagnet;
+        RbMnF3: a simple cubic one. The files name the sources of their cell constants.
 
     Returns
     -------

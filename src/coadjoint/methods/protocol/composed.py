@@ -189,6 +189,7 @@ class Substeps(Composed):
     base: SubstepMethod
     coefficients: tuple[float, ...]
 
+    by_stages = of("base.by_stages")
     differentiates = of("base.differentiates")
     restored = of("base.restored")
     took_newton = of("base.took_newton")

@@ -227,6 +227,11 @@ class Method(Abstract):
         """Return the loop that carries tangent vectors, with the same bits of states; None: `tangent` is called."""
         return None
 
+    @property
+    def by_stages(self) -> bool:
+        """Whether `linearized` has the stages by which steps are differentiated by parameters of the field."""
+        return False
+
     def differentiates(self, system: System) -> bool:
         """Whether there are loops that differentiate whole runs of a system, `derivative_tables`."""
         return False

@@ -26,9 +26,9 @@ from coadjoint.systems.user_functions import is_called_in_python
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
 
-# Largest number of members of the run in which the step of a first run is checked, of steps if these call Python or are
-# of matrices, and of rows of these.
-CHECKED_MEMBERS, CHECKED_CALLS, CHECKED_ROWS = 64, 100, 128
+# Largest number of members of the run in which the step of a first run is checked, and if it calls Python; of steps if
+# it calls Python or is of matrices, and of rows of these.
+CHECKED_MEMBERS, CHECKED_CALLERS, CHECKED_CALLS, CHECKED_ROWS = 64, 8, 100, 128
 
 
 def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
@@ -36,7 +36,9 @@ def prepared_of(ready: Any, method: Any, step: Any, caller: str) -> PreparedRun:
     if isinstance(ready, System | Batch):
         if step is None:
             raise TypeError(f"{caller} was given {short(ready)} without a step; give step=, and method=")
-        return PreparedRun(ready, method, step)
+        prepared = PreparedRun(ready, method, step)
+        prepared.cache.checks_step = True
+        return prepared
     if method is not None or step is not None:
         raise TypeError(f"{caller} was given a step or a method for a prepared run, which has its own; omit them")
     return ready  # type: ignore[no-any-return]
@@ -131,10 +133,15 @@ class ParametrizedRun:
         leading = (self._points, *x0[:-1])
         return [(*leading, x0[-1]), *([(*leading, self._side, self._side)] if self._side else [])]
 
+    @property
+    def is_checked(self) -> bool:
+        """Whether the step of the next run is compared with shorter ones."""
+        return self._prepared.cache.checks_step
+
     def check_first_step(self, given: Mapping[str, Floats]) -> None:
         """Warn if the step of a first run elsewhere is too large, by a run of the compiled loops of some members."""
         prepared, times = self._prepared, self.times
-        if not prepared.cache.checks_step:
+        if not self.is_checked:
             return
         prepared.cache.checks_step = False
         system = prepared.system
@@ -142,18 +149,19 @@ class ParametrizedRun:
             return
         run: PreparedRun = prepared if prepared.inputs is not None else self._run_at(given).prepared
         x0, attitude = given["x0"], given.get("attitude0")
-        if x0.ndim > 1 and len(x0) > CHECKED_MEMBERS:
-            run, x0 = run.among(0, CHECKED_MEMBERS), x0[:CHECKED_MEMBERS]
-            attitude = attitude if attitude is None or attitude.ndim < 3 else attitude[:CHECKED_MEMBERS]
+        called = [term.gradient for one in system.distinct for term in one.hamiltonian.terms() if term.called]
+        called += [force for one in system.distinct for force in one.forces]
+        in_python = any(map(is_called_in_python, called))
+        members = CHECKED_CALLERS if in_python else CHECKED_MEMBERS
+        if x0.ndim > 1 and len(x0) > members:
+            run, x0 = run.among(0, members), x0[:members]
+            attitude = attitude if attitude is None or attitude.ndim < 3 else attitude[:members]
         arguments: dict[str, Any] = dict(zip(("t_span", "save_every", "t_eval"), self._times, strict=True))
         if prepared.inputs is not None:
             arguments |= {name: given[name] for name in given if name in self._shapes}
-        called = [term.gradient for one in system.distinct for term in one.hamiltonian.terms() if term.called]
-        called += [force for one in system.distinct for force in one.forces]
         if system.shape[-1] > CHECKED_ROWS and len(system.shape) > 1:
             return
-        is_slow = len(system.shape) > 1 or any(map(is_called_in_python, called))
-        if times.steps > CHECKED_CALLS and is_slow:
+        if times.steps > CHECKED_CALLS and (len(system.shape) > 1 or in_python):
             arguments |= {"t_span": (times.t0, times.t0 + CHECKED_CALLS * times.h), "save_every": 1, "t_eval": None}
         try:
             solution = run.run(x0, attitude=attitude, **arguments)

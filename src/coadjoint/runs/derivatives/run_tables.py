@@ -176,11 +176,13 @@ def _of_scheme(
         # Of the whole step, and of the last other one.
         return tables._replace(tables_at=lru_cache(2)(lambda step: as_structure(tables.tables_at(step))))
 
-    nearby = nearby_parameters(system, {name: run.parameters[name] for name in names})
+    exact = names if scheme.by_stages and representation is None else ()
+    nearby = nearby_parameters(system, {name: run.parameters[name] for name in names if name not in exact})
+    by_stages = [run.energy(name) for name in exact]
     sizes = {name: run.parameters[name].value.size for name in names}
     if inputs is None:
-        steps = StepwiseDerivatives(scheme, system, nearby, h, representation)
-        return stepwise_derivatives(lambda: steps, sizes)
+        steps = StepwiseDerivatives(scheme, system, nearby, h, representation, energies=by_stages)
+        return stepwise_derivatives(lambda: steps, sizes, exact)
 
     as_given = run.prepared.given_method.fixed_steps
 
@@ -189,9 +191,10 @@ def _of_scheme(
         if by_inputs:
             at_values += changed_inputs(inputs, system, values, h)
         here = inputs.system_at(values)
-        return StepwiseDerivatives(scheme, here, at_values, h, representation, partial(inputs.settled, as_given))
+        settled = partial(inputs.settled, as_given)
+        return StepwiseDerivatives(scheme, here, at_values, h, representation, settled, by_stages)
 
-    tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
+    tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}), exact)
     if by_inputs:
         # The entries are those of all values.
         numbered = tables.coefficients[INPUTS]._replace(number=inputs.changing)

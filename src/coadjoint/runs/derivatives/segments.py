@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from ctypes import c_int64
 from typing import Any, NamedTuple
 
@@ -14,13 +14,14 @@ from coadjoint.kernels.loop import CONCURRENT_ROWS, single_blas_thread
 from coadjoint.kernels.tables.compiled import raised_by
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables, Kernel
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables, Kernel
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.generators import group_side
 from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import split_members, sum_in_threads
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS, NearbySystems, differences
 from coadjoint.systems.step_derivatives import LinearizedStep
 
@@ -126,7 +127,8 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
 class StepwiseDerivatives:
     """Derivatives of steps by the state (`Method.linearized`), of group elements, and of both by parameters.
 
-    Those by parameters, and of the elements g of A -> A g by the state, are central differences of order 8.
+    Those by the parameters of `energies` follow from the stages of a step. Those by others, which come after them, and
+    of the elements g of A -> A g by the state, are central differences of order 8.
     """
 
     def __init__(
@@ -137,9 +139,11 @@ class StepwiseDerivatives:
         h: float,
         representation: Representation,
         method_of: Callable[[Any], Method] | None = None,
+        energies: Sequence[EnergyDerivative] = (),
     ) -> None:
         self._method_of: Callable[[Any], Method] = (lambda _: method) if method_of is None else method_of
-        self._method, self._system, self._nearby = method, system, nearby
+        self._method, self._system, self._nearby, self._energies = method, system, nearby, energies
+        self._exact = sum(energy.size for energy in energies)
         self._h, self._representation = h, representation
         self._steps: dict[int, tuple[Any, PartialSteps]] = {}
 
@@ -186,9 +190,32 @@ class StepwiseDerivatives:
         rows, of_element = differences(self._nearby, after), differences(self._nearby, turned)
         return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
 
+    def _fields(self, step: LinearizedStep) -> list[tuple[Floats, Floats]]:
+        """Return the stages of a step, with the matrix from a change of the gradient of H there to that of the end."""
+        J = self._system.structure_matrix
+        return [(y, self._system.sign * S @ J(y)) for y, S in step.stages] if self._exact else []
+
+    def _along(self, step: LinearizedStep, directions: Floats) -> Floats:
+        """Return the changes (k, n) of the end of a step for directions (k, entries) of the first parameters."""
+        total = np.zeros((len(directions), len(step.end)))
+        for y, matrix in self._fields(step):
+            start = 0
+            for energy in self._energies:
+                own = directions[:, start : start + energy.size]
+                total += np.array([energy.gradient(y, direction) for direction in own]) @ matrix.T
+                start += energy.size
+        return total
+
+    def _pulled(self, step: LinearizedStep, cotangent: Floats) -> Floats:
+        """Return the cotangents of the first parameters for that of the end of a step."""
+        total = np.zeros(self._exact)
+        for y, matrix in self._fields(step):
+            total += np.concatenate([energy.along(y, cotangent @ matrix) for energy in self._energies])
+        return total
+
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
-        directed = bool(run.coefficients.any())
+        directed, others = bool(run.coefficients.any()), run.coefficients[:, self._exact :]
         for member in range(first, last):
             x, vectors, mark = run.momenta[member], run.tangents[member], 0
             group, of_group = _matrix_of(run, member), run.group_tangents[member]
@@ -199,9 +226,11 @@ class StepwiseDerivatives:
                 of_g = np.tensordot(vectors, by_state, axes=1)
                 vectors = step.tangents(vectors)
                 if directed:
+                    vectors = vectors + self._along(step, run.coefficients)
+                if others.any():
                     by_entries, of_elements = self.by_parameters(x, t, run.h)
-                    vectors = vectors + run.coefficients @ by_entries
-                    of_g = of_g + np.tensordot(run.coefficients, of_elements, axes=1)
+                    vectors = vectors + others @ by_entries
+                    of_g = of_g + np.tensordot(others, of_elements, axes=1)
                 # Elements are stored transposed.
                 of_group, group = g.T @ of_group + np.swapaxes(of_g, 1, 2) @ group, g.T @ group
                 x = step.end
@@ -234,9 +263,11 @@ class StepwiseDerivatives:
                 number = k - run.k0 - 1
                 g, by_state = elements[number]
                 of_g = groups[number] @ of_group.T
+                run.coefficients[member, : self._exact] += self._pulled(steps[number], cotangent)
                 if self._nearby:
                     by_entries, of_elements = self.by_parameters(states[number], run.t0 + (k - 1) * run.h, run.h)
-                    run.coefficients[member] += by_entries @ cotangent + np.tensordot(of_elements, of_g, axes=2)
+                    others = by_entries @ cotangent + np.tensordot(of_elements, of_g, axes=2)
+                    run.coefficients[member, self._exact :] += others
                 cotangent = steps[number].cotangent(cotangent) + np.tensordot(by_state, of_g, axes=2)
                 of_group = g @ of_group
             run.cotangents[member], run.group_cotangents[member] = cotangent, of_group
@@ -248,7 +279,9 @@ def _matrix_of(run: ForwardRun | BackwardRun, member: int) -> Floats:
     return np.asarray(run.groups[member]).reshape(side, side)
 
 
-def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int]) -> DerivativeTables:
+def stepwise_derivatives(
+    steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int], exact: Container[str] = ()
+) -> DerivativeTables:
     """Return the derivatives of a scheme without compiled ones, in the form of these; `sizes` are of parameters."""
     coefficients, start = {}, 0
     for name, size in sizes.items():
@@ -262,5 +295,5 @@ def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Ma
         coefficient_count=start,
         coefficients=coefficients,
         factors=dict.fromkeys(sizes, NO_MULTIPLES),
-        rules=dict.fromkeys(sizes, DIFFERENCES),
+        rules={name: EXACT if name in exact else DIFFERENCES for name in sizes},
     )

@@ -99,6 +99,10 @@ class ArrayLibrary(ABC):
         """Return shape and type of the values of a function of params, a state (n,), and the time."""
 
     @abstractmethod
+    def may_hide(self, function: Callable[..., Any], params: Any, n: int) -> bool:
+        """Return whether derivatives of such a function may lack a part, as of a value that it detaches."""
+
+    @abstractmethod
     def in_numpy(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function of arrays of the library as one of arrays of NumPy."""
 

@@ -17,6 +17,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lattices.bonds import MATRIX_TOLERANCE, AllowedMatrices, Bond, Site
 from coadjoint.systems.lattices.couplings import driving_field
 from coadjoint.systems.lattices.declared_spins import UNITS, Anisotropy, Coupling, Declaration, check_sizes
+from coadjoint.systems.lattices.dipoles import dipolar_energy
 from coadjoint.systems.lattices.space_groups import product
 from coadjoint.systems.lattices.spin_constants import constants_of, read_name
 from coadjoint.systems.lattices.spin_lattice import axes_orthogonal_to
@@ -35,7 +36,7 @@ from coadjoint.systems.lattices.spin_operators import (
     tensor_operators,
 )
 from coadjoint.systems.lattices.spin_polynomials import not_empty, read_coefficient
-from coadjoint.systems.lattices.spin_terms import edges_of
+from coadjoint.systems.lattices.spin_terms import cells_of, edges_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import read_bool, read_complex, read_finite, read_integer, read_number, set_fields
@@ -62,7 +63,7 @@ class CoherentSpinModel(SpinModel):
     `random` make states, `expectation` reads them. `thermal_states`, `equilibrium`, baths, archives and derivatives
     take a model as any other system.
 
-    Besides what follows a model has the attributes and methods of `SpinModel`; `dipolar` and `substitute` are refused.
+    Besides what follows a model has the attributes and methods of `SpinModel`; `substitute` is refused.
     Archives have no crystal: ``co.load(path, system=model)`` reads one with its model.
 
     Attributes
@@ -84,8 +85,9 @@ class CoherentSpinModel(SpinModel):
         units, cell = UNITS[declared.units], len(declared.crystal.labels)
         if np.ptp(declared.spin):
             raise ValueError(
-                f"spin is {short(declared.spin.tolist())}, and sites of SU(N) have equal numbers of levels; give one "
-                'spin for all, or mode="dipole"'
+                f"spin is {short(declared.spin.tolist())}, and sites of SU(N) have equal numbers of levels; give "
+                'one spin for all, or mode="dipole", which is the same for S = 1/2; there a single-ion D of longer '
+                "spins is D (1 - 1 / (2 S))"
             )
         levels = levels_of(declared.spin[0], "spin")
         set_fields(self, levels=levels)
@@ -119,6 +121,8 @@ class CoherentSpinModel(SpinModel):
         if driven is not None:
             driving, _ = driving_field(driven, count, width)
             H = H + driving
+        if declared.dipolar:
+            H = H + dipolar_energy(cells_of(declared, declared.g), units.dipole, width)
         algebra = sites_algebra(levels, count, units.hbar)
         known = {name: partial(algebra.casimirs_known.__getitem__, name) for name in algebra.casimirs_known}
         whole = {"sum of |x|^2": partial(Quadratic, np.full(width * count, 2.0))}
@@ -128,7 +132,7 @@ class CoherentSpinModel(SpinModel):
             H,
             casimirs=KnownInvariants(known or whole),
             name=f"spins of SU({levels})",
-            integrals=KnownInvariants({} if driven is not None else self._total_spins(M, on_site)),
+            integrals=KnownInvariants({} if driven is not None or declared.dipolar else self._total_spins(M, on_site)),
         )
         set_fields(self, boltzmann=units.k_B, _constants=constants_of(self))
 
@@ -360,10 +364,6 @@ class CoherentSpinModel(SpinModel):
         if np.abs(A - A.conj().T).max() > HERMITIAN * np.abs(A).max():
             raise ValueError(f"{what} is not Hermitian; give A with A = A^+")
         return np.asarray(0.5 * (A + A.conj().T))
-
-    def dipolar(self) -> NoReturn:
-        """Refused: models of SU(N) have no dipolar energy."""
-        raise ValueError('dipolar is not available in mode="SU(N)"; take mode="dipole"')
 
     def substitute(self, label: str, fraction: float, seed: int, *, spin: float, g: float | None = None) -> NoReturn:
         """Refused: all sites of SU(N) have the same levels."""

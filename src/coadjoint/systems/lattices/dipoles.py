@@ -5,21 +5,26 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.lattices.geometry import CELLS, OPEN_LATTICES, sizes_of
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 MAX_HESSIAN_SITES = 341  # largest number of spins with second derivatives, which are dense
+OF_STATES = "CommutatorFree(4), whose states stay pure, or GaussLegendre(2), which conserves the energy"
 EXPONENT = 38.0  # beyond which exp(-x) is below round-off of the sums
 
 
@@ -77,10 +82,13 @@ class DipolarFunction:
     tensors: npt.NDArray[np.complex128] = field(repr=False)
 
     called_in_python: ClassVar[bool] = True
-    not_split: ClassVar[str] = (
-        "its dipoles couple every spin to all others, in fields that FFTs compute for all at once; take "
-        "GaussLegendre(1), which conserves the energy, or SphericalMidpoint, which is a Poisson map"
-    )
+    other_schemes: str = "GaussLegendre(1), which conserves the energy, or SphericalMidpoint, which is a Poisson map"
+
+    @property
+    def not_split(self) -> str:
+        """Why splittings refuse it, and what to take."""
+        why = "its dipoles couple every spin to all others, in fields that FFTs compute for all at once"
+        return f"{why}; take {self.other_schemes}"
 
     @property
     def __name__(self) -> str:
@@ -287,12 +295,58 @@ def _periodic_tensors(cells: DipolarCells) -> npt.NDArray[np.complex128]:
     return np.asarray(found)
 
 
-def dipolar_energy(cells: DipolarCells, strength: float) -> Hamiltonian:
-    """Return the dipolar energy of the spins on cells."""
+class DipolesOfSites(Summable):
+    """A dipolar energy of the first three of `width` coordinates of each site."""
+
+    timed = False
+
+    def __init__(self, energy: Hamiltonian, width: int) -> None:
+        assert energy.dim is not None
+        self.energy, self.width, self.dim = energy, width, energy.dim // 3 * width
+        self._where = np.arange(self.dim).reshape(-1, width)[:, :3].ravel()
+
+    def bind(self, n: int) -> DipolesOfSites:
+        if n != self.dim:
+            raise ValueError(f"the dipolar energy is bound to dimension {self.dim}, not {short(n)}; make a new one")
+        return self
+
+    def times(self, factor: Coefficient) -> Self:
+        return type(self)(self.energy.times(factor), self.width)
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        return self.energy.value(read_point(x, self.dim)[self._where], t)
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        of_sites = self.energy.gradient(read_point(x, self.dim)[self._where], t)
+        found = np.zeros(self.dim, of_sites.dtype)
+        found[self._where] = of_sites
+        return found
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        found = np.zeros((self.dim, self.dim))
+        found[np.ix_(self._where, self._where)] = self.energy.hessian(read_point(x, self.dim)[self._where], t)
+        return found
+
+    def terms(self) -> tuple[Term, ...]:
+        return tuple(replace(cast(FunctionTerm, one), coordinates=self._where) for one in self.energy.terms())
+
+    def __repr__(self) -> str:
+        return f"the {self.energy!r} of {self.dim // self.width} sites"
+
+
+def dipolar_energy(cells: DipolarCells, strength: float, width: int = 3) -> Any:
+    """Return the dipolar energy of the spins on cells, the first three of `width` coordinates of each."""
     tensors = cells.tensors()
-    derivatives: list[Callable[..., Any]] = [DipolarFunction(cells, strength, order, tensors) for order in range(3)]
+    functions = [DipolarFunction(cells, strength, order, tensors) for order in range(3)]
+    if width != 3:
+        functions = [replace(one, other_schemes=OF_STATES) for one in functions]
+    derivatives: list[Callable[..., Any]] = [*functions]
     dense = len(cells.sites) * math.prod(cells.sizes) <= MAX_HESSIAN_SITES
-    return Hamiltonian(*derivatives[: 3 if dense else 2])
+    energy = Hamiltonian(*derivatives[: 3 if dense else 2])
+    if width == 3:
+        return energy
+    every = len(cells.sites) * math.prod(cells.sizes)
+    return DipolesOfSites(energy.bind(3 * (every if cells.occupied is None else len(cells.occupied))), width)
 
 
 def named_cells(lattice: str, shape: Any, periodic: Any) -> DipolarCells:

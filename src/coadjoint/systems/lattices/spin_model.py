@@ -376,7 +376,7 @@ class SpinModel(LiePoissonSystem):
         moments on a cubic lattice have the field mu0 M/3. For a shape with demagnetization tensor N add
         ``mu0 V (M . N M) / 2``. Lattices that are periodic along two axes are films, with the sum over all images in
         their plane and no film above or below: a thick one has the demagnetization field -mu0 M across it. Splittings
-        do not support dipoles; `GaussLegendre(1)` conserves the energy.
+        do not support dipoles; `GaussLegendre(1)` conserves the energy. States of SU(N) stay pure by `CommutatorFree`.
 
         Returns
         -------

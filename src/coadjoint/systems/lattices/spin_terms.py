@@ -50,16 +50,8 @@ def system_of(declared: Declaration) -> dict[str, Any]:
         H = H + driving
     if declared.dipolar:
         moments = declared.g * declared.spin
-        cells = DipolarCells(
-            declared.crystal.lattice,
-            declared.crystal.positions @ declared.crystal.lattice,
-            declared.size,
-            declared.periodic,
-            moments,
-            declared.occupied,
-            declared.moments / moments[declared.sites] if declared.substitutions else None,
-        )
-        H = H + dipolar_energy(cells, units.dipole)
+        factors = declared.moments / moments[declared.sites] if declared.substitutions else None
+        H = H + dipolar_energy(cells_of(declared, moments, factors), units.dipole)
     mu = units.hbar * (declared.lengths if np.ptp(declared.spin) or declared.substitutions else declared.spin[0])
     plain = driven is None and not declared.dipolar and not quartic
     J, T, K = np.array(-1.0), blocks.distinct, -on_site.distinct
@@ -75,6 +67,12 @@ def system_of(declared: Declaration) -> dict[str, Any]:
         "integrals": KnownInvariants(total_spins(count, T, np.zeros(3), squares, field, uniform, mu)) if known else {},
         "layout": {"lattice": "graph"},
     }
+
+
+def cells_of(declared: Declaration, moments: Floats, factors: Floats | None = None) -> DipolarCells:
+    """Return the cells of the dipoles of a declared model, with the moments of the sites of a cell."""
+    lattice, positions = declared.crystal.lattice, declared.crystal.positions @ declared.crystal.lattice
+    return DipolarCells(lattice, positions, declared.size, declared.periodic, moments, declared.occupied, factors)
 
 
 def _axes_of_symmetry(declared: Declaration) -> Floats | None:

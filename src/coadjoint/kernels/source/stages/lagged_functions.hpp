@@ -1,6 +1,7 @@
 // Expensive linear functions in a fixed point iteration, such as the fields of dipoles by FFT: their values are reused as
 // long as what the points have moved since is too little to be seen beside the last correction. The solution is that
-// without reuse, up to round-off: at the end they are evaluated, or would change the points by less than half a rounding.
+// without reuse, up to round-off: at the end they are evaluated, or are those of points that are equal up to round-off.
+// A larger distance, although it would change the points by less than half a rounding, has a sign, and energies drift.
 #pragma once
 
 #include "boundary/codes.hpp"
@@ -9,7 +10,9 @@
 namespace coadjoint {
 
 constexpr double SEEN_BESIDE = 0.5;     // part of the last correction: a larger error of reused values is seen
-constexpr double UNSEEN = 0x1p-54;      // of the size of the points
+constexpr double UNSEEN = 0x1p-53;      // of the size of the points: so far apart they are equal up to round-off
+constexpr double LARGEST_UNSEEN = 0x1p-54;  // of that size: reused values may not move points further
+constexpr double ROUNDINGS = 4.0;       // of the terms of a slope: of its factors, of the products, and of their sum
 
 // Sums of squares: how far points are from those of the last evaluation, and from the previous ones.
 struct Distances {
@@ -41,7 +44,8 @@ class LaggedFunctions {
   public:
     template <class C>
     LaggedFunctions(const Field& field, const C& constants, int64_t blocks, FieldWorkspace<A>& workspace)
-        : workspace(workspace), count(Numbers<A>::lanes * blocks * field.size), evaluated(0), before(0) {
+        : workspace(workspace), count(Numbers<A>::lanes * blocks * field.size), evaluated(0), before(0),
+          rounding(0) {
         if (Numbers<typename Layout::V>::lanes > 1 || blocks > 1 || !reuses_functions(field, constants)) return;
         int64_t rows = 0;
         for (int64_t k = 0; k < field.terms.size; ++k)
@@ -53,6 +57,7 @@ class LaggedFunctions {
         workspace.held.clear(rows);
         evaluated.clear(blocks * field.size);
         before.clear(blocks * field.size);
+        rounding.clear(blocks * field.size);
     }
     bool exist() const { return norm > 0.0; }
 
@@ -67,9 +72,29 @@ class LaggedFunctions {
             structure = larger(structure, row);
             square = fma(x[i], x[i], square);
         }
-        rate = norm * structure * absolute(factor);
-        unseen = UNSEEN * square_root(square);
-        begun = always = false;
+        step = absolute(factor);
+        rate = norm * structure * step;
+        unseen = smaller(UNSEEN * rate, LARGEST_UNSEEN) * square_root(square);
+        begun = always = measured = false;
+    }
+
+    // The round-off of points whose slopes are J(x) u: of each component, measured once a step.
+    template <class C>
+    const A* round_off(const Field& field, const C& constants, const A* x, const A* u) {
+        if (measured) return rounding.at;
+        measured = true;
+        const A scale(ROUNDINGS * UNIT_ROUNDOFF * step);
+        share(field.size, [&](int64_t first, int64_t last) {
+            for (int64_t i = first; i < last; ++i) {
+                A sum(0.0), most = absolute(u[i]);
+                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q) {
+                    sum = sum + absolute(constants.template number_at<A>(field.constant, q) * x[field.state[q]]);
+                    most = larger(most, absolute(u[field.column[q]]));
+                }
+                rounding.at[i] = scale * sum * most;
+            }
+        });
+        return rounding.at;
     }
 
     // Decide whether the evaluation at these points reuses the last values.
@@ -105,8 +130,9 @@ class LaggedFunctions {
     FieldWorkspace<A>& workspace;
     const int64_t count;
     AlignedArray<A> evaluated, before;  // points
-    double norm = 0.0, rate = 0.0, unseen = 0.0, error = 0.0;
-    bool begun = false, always = false;
+    AlignedArray<A> rounding;
+    double norm = 0.0, step = 0.0, rate = 0.0, unseen = 0.0, error = 0.0;
+    bool begun = false, always = false, measured = false;
 
     static const double* numbers(const A* at) { return reinterpret_cast<const double*>(at); }
 

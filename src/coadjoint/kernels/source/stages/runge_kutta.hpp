@@ -159,6 +159,7 @@ struct Stages {
             auto iterate = [&](auto watched) {
                 lagged.decide(p.points.at);
                 evaluate(0, 1);
+                p.rounding = lagged.round_off(field, Layout::constants(constants, 0, s), p.points.at, gradients.at);
                 p.template update_points<decltype(watched)::value>(0, 1, s);
             };
             const auto outcome = settle_by(p, true, 1, n, trust, iterate, [](const Mask&, bool) {});

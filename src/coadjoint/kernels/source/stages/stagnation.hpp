@@ -37,6 +37,17 @@ constexpr int64_t LONG_ITERATION = int64_t(1) << 14;  // multiplications above w
 // The number of iterations without a new smallest correction that counts as stagnation. Few can be chance: with complex
 // eigenvalues the corrections oscillate while they shrink, the longer the more slowly they shrink.
 INLINE double stagnation_length(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+// The same where all corrections are at a known level of round-off: these reduce them by 2^5 if 50 bits took `passed`.
+INLINE double quiet_length(int64_t passed) { return double(passed < 30 ? 2 : passed / 10); }
+
+// Components whose corrections fell, and those whose corrections are not round-off: zero if there are none.
+template <class A>
+struct Corrections {
+    A fell, large;
+    explicit Corrections(double value) : fell(value), large(value) {}
+    Corrections(const A& fell, const A& large) : fell(fell), large(large) {}
+    Corrections operator+(const Corrections& other) const { return {fell + other.fell, large + other.large}; }
+};
 
 // A component in a sample: up to eight roundings of either sign away, of subnormal numbers spacings; none in the first.
 template <class A>
@@ -54,6 +65,7 @@ struct Unknowns {
     const typename Layout::Coefficient* mix;
     int64_t work;  // approximate number of multiplications of an iteration
     V *base = nullptr, *error = nullptr;
+    const A* rounding = nullptr;  // of the terms of a component, beside that of its size, if it is known
     AlignedArray<A> points, slopes, before, settled_slopes, change, moved, least, level;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
@@ -165,21 +177,26 @@ struct Unknowns {
 
     // Whether the correction of any component of a stage is smaller than all previous ones: components differ in size,
     // and each must stop falling. One unit in the last place is ignored, since among many components one would always
-    // fall.
-    INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
-        const A number = shared_sum<A>(blocks * size, [&](int64_t first, int64_t last) {
-            auto found = A(0.0) < A(0.0);
+    // fall; and the `rounding` where it is known, and then `is_quiet` is whether no correction is larger.
+    INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size, bool& is_quiet) {
+        const Corrections<A> number = shared_sum<Corrections<A>>(blocks * size, [&](int64_t first, int64_t last) {
+            auto found = A(0.0) < A(0.0), large = found;
             for (int64_t k = first; k < last; ++k) {
-                const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
+                A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
+                if (__builtin_expect(rounding != nullptr, 0)) {
+                    unit = unit + rounding[k];
+                    large = large | (unit < change.at[k]);
+                }
                 const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
                 auto decreased = correction < least.at[k];
                 if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
                 least.at[k] = select(decreased, correction, least.at[k]);
                 found = found | decreased;
             }
-            return select(found, A(1.0), A(0.0));
+            return Corrections<A>(select(found, A(1.0), A(0.0)), select(large, A(1.0), A(0.0)));
         });
-        return Layout::some(A(0.0) < number);
+        is_quiet = rounding && !any(Layout::some(A(0.0) < number.large));
+        return Layout::some(A(0.0) < number.fell);
     }
 
     // The same for lanes that are `again` tested from the start. Where components move each other in turns, every other
@@ -302,6 +319,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
     for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, last_tested = infinite, stagnant(0.0);
+    double quiet = 0.0;
     typename Numbers<V>::Mask again = no_lane;
     bool any_stored = false;
     // After the last iteration every trajectory has settled or failed.
@@ -318,9 +336,11 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             ended = unchanged;
             auto stagnating = small & !unchanged;
             if (any(stagnating)) {
+                bool is_quiet = false;
                 const typename Numbers<V>::Mask falls =
                     __builtin_expect(any(again), 0) ? y.falling_again(stagnating, again, blocks, size)
-                                                    : y.falling(stagnating, blocks, size);
+                                                    : y.falling(stagnating, blocks, size, is_quiet);
+                quiet = is_quiet ? quiet + 1.0 : 0.0;
                 stagnating = stagnating & !falls & (count > V(double(FIRST_TEST)));
             }
             stagnant = select(stagnating, stagnant + 1.0, V(0.0));
@@ -338,8 +358,9 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
                 }
             }
             ended = ended | stagnated;
+            if (alone && quiet >= quiet_length(passed)) ended = small, stagnant = V(quiet);
         } else {
-            stagnant = V(0.0);
+            stagnant = V(quiet = 0.0);
         }
         if (__builtin_expect(passed == 1, 0)) {
             const auto tested_at_once = !(untested > V(0.0));
