@@ -233,13 +233,13 @@ class Exponential {
     }
 };
 
-// Improve numbers by a fixed-point iteration until the next change, which falls as this one did, is round-off, or changes
+// Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
 // near round-off no longer fall; false if a step of it is.
 template <class Improve>
 bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
     constexpr int64_t MOST_ITERATIONS = 192;
     constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
-    double last = std::numeric_limits<double>::infinity();
+    double last = std::numeric_limits<double>::infinity(), fall_before = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
         before = now;
         if (!improve()) return false;
@@ -248,9 +248,11 @@ bool iterate(std::vector<double>& now, std::vector<double>& before, const Improv
             change += absolute(now[i] - before[i]);
             size += absolute(now[i]);
         }
-        if (!(change > SETTLED * size) || (k > 0 && change <= FAST * last && change * (change / last) <= SETTLED * size) ||
+        // The slower of the last two falls, so that a part that falls fast does not hide another one.
+        const double fall = k > 0 ? change / last : 1.0, falls = std::max(fall, fall_before);
+        if (!(change > SETTLED * size) || (falls <= FAST && change * falls <= SETTLED * size) ||
             (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) break;
-        last = change;
+        last = change, fall_before = fall;
     }
     return true;
 }
@@ -392,8 +394,7 @@ class OrbitDerivative {
         return !random || shake(now, t, tau, 1, member);
     }
 
-    // A midpoint of the flow from x to its end: that of the chord, for spins on the arc, where it solves the rule unless
-    // they turn.
+    // A midpoint of the flow from x to its end: that of the chord, for spins on the arc, the solution unless they turn.
     void find_middle(const double* x, const double* end) {
         for (int64_t i = 0; i < n; ++i) middle[i] = 0.5 * (x[i] + end[i]);
         if (!of_spins) return;
