@@ -64,7 +64,7 @@ class ForceDerivative {
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
         if (along && !whole) std::copy_n(images.data(), count * n, vectors);
         if (law) law->push(x, at.t, at.tau, vectors, count, own, all.coefficients);
-        if (orbit && !orbit->push(x, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
+        if (orbit && !orbit->push(x, end, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients, element, of_elements))
             throw NotDifferentiated();
         if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
@@ -114,7 +114,7 @@ class ForceDerivative {
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
         if (along && !whole) std::copy_n(images.data(), n, row);
         if (law) law->pull(x, at.t, at.tau, row, own);
-        if (orbit && !orbit->pull(x, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
+        if (orbit && !orbit->pull(x, end, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own, element, of_element))
             throw NotDifferentiated();
         if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();

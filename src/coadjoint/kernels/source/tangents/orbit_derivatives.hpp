@@ -137,6 +137,7 @@ class Exponential {
 
     // out += factor D_w x
     void add_move(const double* w, const double* x, double factor, double* out) const {
+        if (spins) return add_crosses(x, w, factor, out);
         each_product([&](int64_t i, uint32_t state, uint32_t column, double constant) {
             out[i] = fma(constant * x[state], factor * w[column], out[i]);
         });
@@ -144,6 +145,7 @@ class Exponential {
 
     // out += factor D_w^T row
     void add_transposed(const double* w, const double* row, double factor, double* out) const {
+        if (spins) return add_crosses(w, row, factor, out);
         each_product([&](int64_t i, uint32_t state, uint32_t column, double constant) {
             out[state] = fma(constant * w[column], factor * row[i], out[state]);
         });
@@ -151,6 +153,7 @@ class Exponential {
 
     // out += factor times the cotangent of w for a cotangent of D_w x
     void add_of_direction(const double* x, const double* row, double factor, double* out) const {
+        if (spins) return add_crosses(row, x, factor, out);
         each_product([&](int64_t i, uint32_t state, uint32_t column, double constant) {
             out[column] = fma(constant * x[state], factor * row[i], out[column]);
         });
@@ -166,8 +169,19 @@ class Exponential {
     std::vector<double> sums, terms, one, two;
     std::vector<Turning> turnings;
 
+    // out += factor turn a cross b, of which the products with D_w and its transpose are cases.
+    void add_crosses(const double* a, const double* b, double factor, double* out) const {
+        for (int64_t s = 0; s < spins->size(); ++s) {
+            const int64_t i = spins->coordinate[0][s], j = spins->coordinate[1][s], k = spins->coordinate[2][s];
+            const double by = factor * spins->turn[s];
+            out[i] = fma(by, fma(a[j], b[k], -(a[k] * b[j])), out[i]);
+            out[j] = fma(by, fma(a[k], b[i], -(a[i] * b[k])), out[j]);
+            out[k] = fma(by, fma(a[i], b[j], -(a[j] * b[i])), out[k]);
+        }
+    }
+
     // u + first A u + second A A u for A u = u cross w, with minus w of the transpose.
-    static void turn(const double* w, double sign, double first, double second, double* u) {
+    INLINE static void turn(const double* w, double sign, double first, double second, double* u) {
         double across[3], back[3];
         cross_of(u, w, across);
         cross_of(across, w, back);
@@ -219,12 +233,13 @@ class Exponential {
     }
 };
 
-// Improve numbers by a fixed-point iteration until its changes are round-off, and no longer fall; false if a step of it is.
+// Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
+// near round-off no longer fall; false if a step of it is.
 template <class Improve>
 bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
     constexpr int64_t MOST_ITERATIONS = 192;
-    constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40;
-    double last = std::numeric_limits<double>::infinity();
+    constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
+    double last = std::numeric_limits<double>::infinity(), fall_before = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
         before = now;
         if (!improve()) return false;
@@ -233,8 +248,11 @@ bool iterate(std::vector<double>& now, std::vector<double>& before, const Improv
             change += absolute(now[i] - before[i]);
             size += absolute(now[i]);
         }
-        if (!(change > SETTLED * size) || (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) break;
-        last = change;
+        // The slower of the last two falls, so that a part that falls fast does not hide another one.
+        const double fall = k > 0 ? change / last : 1.0, falls = std::max(fall, fall_before);
+        if (!(change > SETTLED * size) || (falls <= FAST && change * falls <= SETTLED * size) ||
+            (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) break;
+        last = change, fall_before = fall;
     }
     return true;
 }
@@ -253,9 +271,9 @@ class OrbitDerivative {
 
     // Replace vectors at a state by their tangents after the flow, along directions of the coefficients; false if a series
     // is too long, or an iteration does not converge.
-    bool push(const double* x, double t, double tau, int64_t member, double* vectors, int64_t vectors_count,
+    bool push(const double* x, const double* end, double t, double tau, int64_t member, double* vectors, int64_t vectors_count,
               const double* directions, int64_t stride) {
-        if (!find(x, t, tau, member)) return false;
+        if (!find(x, end, t, tau, member)) return false;
         for (int64_t r = 0; r < vectors_count; ++r) {
             double* const dx = vectors + r * n;
             const double* const along = directions + r * stride;
@@ -299,8 +317,9 @@ class OrbitDerivative {
     }
 
     // Replace the cotangent of the state after the flow by that before, and add those of the coefficients.
-    bool pull(const double* x, double t, double tau, int64_t member, double* cotangent, double* by_coefficients) {
-        if (!find(x, t, tau, member)) return false;
+    bool pull(const double* x, const double* end, double t, double tau, int64_t member, double* cotangent,
+              double* by_coefficients) {
+        if (!find(x, end, t, tau, member)) return false;
         std::fill(of_length.begin(), of_length.end(), 0.0);
         for (size_t e = exponentials.size(); e-- > 0;) {
             Exponential& one = *exponentials[e];
@@ -320,8 +339,7 @@ class OrbitDerivative {
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
                 return true;
             });
-            of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
-            half.pull(through.data(), row.data());
+            // The last `through` is as accurate as `of_v`, which follows from it.
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
             each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
                 double& to = by_coefficients[first_added + index];
@@ -363,15 +381,28 @@ class OrbitDerivative {
         return *exponentials.back();
     }
 
-    bool find(const double* x, double t, double tau, int64_t member) {
+    bool find(const double* x, const double* end, double t, double tau, int64_t member) {
         exponentials.clear();
         const bool random = force.amplitude[0] > 0.0;
         if (adds) find_lengths(x);
         std::copy_n(x, n, now.data());
         if (random && !shake(now, t, tau, 0, member)) return false;
         damping = int64_t(exponentials.size());
+        std::copy_n(now.data(), n, middle.data());
+        if (!random) find_middle(x, end);
         if (!settle(now, t, tau)) return false;
         return !random || shake(now, t, tau, 1, member);
+    }
+
+    // A midpoint of the flow from x to its end: that of the chord, for spins on the arc, the solution unless they turn.
+    void find_middle(const double* x, const double* end) {
+        for (int64_t i = 0; i < n; ++i) middle[i] = 0.5 * (x[i] + end[i]);
+        if (!of_spins) return;
+        each_spin([&](int64_t i, int64_t j, int64_t k) {
+            const auto square = [&](const double* y) { return fma(y[i], y[i], fma(y[j], y[j], y[k] * y[k])); };
+            const double of_chord = square(middle.data()), by = of_chord > 0.0 ? std::sqrt(square(x) / of_chord) : 1.0;
+            for (const int64_t at : {i, j, k}) middle[at] *= by;
+        });
     }
 
     // The inverse lengths of spins, by coordinate; zero for those that are zero, and for other coordinates.
@@ -428,9 +459,8 @@ class OrbitDerivative {
         return true;
     }
 
-    // As `Force::settle`, with the midpoint and the gradient there.
+    // As `Force::settle`, from a first midpoint on, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
-        std::copy_n(x.data(), n, middle.data());
         const bool found = iterate(middle, before, [&] {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
             direction_of(other.data(), gradients.data(), tau, v.data());
