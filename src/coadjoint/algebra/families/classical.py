@@ -311,8 +311,8 @@ def e(n: int = 3) -> LieAlgebra:
     """Return e(n), the rigid motions of n-dimensional space: first rotations, in the basis of so(n), then translations.
 
     For n = 3 the state is the angular momentum m (x1-x3) and p (x4-x6): the weight vector of a heavy top, or the linear
-    momentum of a body in a fluid. For n = 2 the first coordinate is the angular momentum clockwise, by [e1, e2] = -e3 and
-    [e1, e3] = e2: that of a vehicle which turns counterclockwise in its plane is its negative.
+    momentum of a body in a fluid. For n = 2 the first coordinate is the angular momentum counted clockwise, since
+    [e1, e2] = -e3 and [e1, e3] = e2.
 
     Parameters
     ----------
