@@ -426,6 +426,10 @@ LEARNED = {
         lambda: bound(co.jax.energy(lambda x, p: p @ x**2 * jax.lax.stop_gradient(x)[0], np.ones(3))), ValueError,
         ["gradient contradicts value", "stop_gradient"],
     ),
+    "stop_gradient, twice": (
+        lambda: bound(2 * co.jax.energy(lambda x, p: p @ x**2 * jax.lax.stop_gradient(x)[0], np.ones(3))), ValueError,
+        ["gradient contradicts value", "stop_gradient"],
+    ),
     "module H": (lambda: bound(OfTorch()), TypeError, ["PyTorch", "co.torch.energy"]),
 }  # fmt: skip
 

@@ -257,6 +257,10 @@ REFUSED = {
         lambda: with_force(co.jax.torque(lambda x, p: -p * half_of_slope(x), np.array(0.1))), ValueError,
         ["torque", "contradicts", "incomplete"],
     ),
+    "stop_gradient later": (
+        lambda: with_force(co.jax.torque(lambda x, p, t: -t * jnp.sum(jax.lax.stop_gradient(x) ** 2) * x, {})),
+        ValueError, ["torque", "contradicts", "stop_gradient"],
+    ),
     "axis": (
         lambda: with_force(co.jax.torque(lambda x, p: -x, {}), co.systems.heavy_top()), ValueError, ["direction"]
     ),
