@@ -36,7 +36,9 @@ class TorchLibrary(ArrayLibrary):
     expm, product = staticmethod(torch.linalg.matrix_exp), staticmethod(torch.matmul)
 
     def array(self, name: str, value: Any, owner: str) -> Any:
-        return double(f"{name} of {owner}", value)
+        if hasattr(value, "named_parameters"):
+            raise TypeError(f"{name} of {owner} is a module; give dict(module.named_parameters())")
+        return double(f"{name} of {owner}", value, self.float64_hint)
 
     def numbers(self, value: Any) -> Any:
         return value if torch.is_tensor(value) else torch.from_numpy(np.array(value, dtype=np.float64))
@@ -88,7 +90,7 @@ class TorchLibrary(ArrayLibrary):
         return call
 
 
-def double(name: str, value: Any) -> Any:
+def double(name: str, value: Any, hint: str = ", as by x.double()") -> Any:
     """Convert numbers to a tensor, whole numbers to float64, and refuse lower precision and other devices."""
     if not torch.is_tensor(value):
         numbers = to_array(value, name)
@@ -96,7 +98,7 @@ def double(name: str, value: Any) -> Any:
     if value.dtype in (torch.int32, torch.int64):
         value = value.to(torch.float64)
     if value.dtype != torch.float64:
-        raise TypeError(f"{name} has the dtype {value.dtype}; give torch.float64{TorchLibrary.float64_hint}")
+        raise TypeError(f"{name} has the dtype {value.dtype}; give torch.float64{hint}")
     if value.device.type != "cpu":
         raise TypeError(
             f"{name} is on the device {value.device}; runs are computed on the processor, give {name}.cpu()"

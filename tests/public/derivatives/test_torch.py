@@ -519,6 +519,9 @@ LEARNED = {
     "module": (lambda: body(torch.nn.Linear(3, 1)), TypeError, ["module of PyTorch", "co.torch.energy"]),
     "plain": (lambda: body(lambda x: torch.as_tensor(x).sum()), TypeError, ["co.torch.energy"]),
     "shape": (lambda: learned_run()[0](X0[:2]), ValueError, ["(2,)", "(3,)"]),
+    "module as params": (
+        lambda: learned_run()[0](X0, params=modules()), TypeError, ["is a module", "dict(module.named_parameters())"]
+    ),
     "other shape": (
         lambda: learned_run()[0](X0, params=dict(modules(4).named_parameters())), ValueError,
         ["params['0.weight']", "(4, 4)", "(4, 3)"],
