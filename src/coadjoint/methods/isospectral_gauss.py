@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.steps import STEP_LOOP, StreamSlope, matrix_tables, stream_slopes, with_slopes
+from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables, stream_slopes, with_slopes
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
@@ -23,6 +23,7 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.parameter_differences import NearbySystems
 from coadjoint.systems.step_derivatives import LinearizedStep
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import schemes_for
@@ -126,21 +127,19 @@ class IsospectralGauss(SubstepMethod):
     ) -> DerivativeTables:
         if not self.differentiates(system):
             return super().derivative_tables_of_substeps(system, h, representation, energies, fractions)
-        coefficients, slopes, count = {}, list[StreamSlope](), 0
+        coefficients, nearby = {}, list[NearbySystems]()
         for name, energy in energies.items():
             entries = np.arange(energy.size)
-            coefficients[name] = Multiples(count + entries, entries, np.ones(energy.size))
-            for nearby in energy.nearby:
-                slopes += stream_slopes(count, nearby)
-                count += 1
+            coefficients[name] = Multiples(len(nearby) + entries, entries, np.ones(energy.size))
+            nearby += energy.nearby
         loop = self.loop_of_substeps(system, h, representation, fractions)
-        built = with_slopes(loop, system, slopes, count)
+        built = with_slopes(loop, system, stream_slopes(system, nearby), len(nearby))
         return DerivativeTables(
             tables_at=lambda step: built.tables,
             keepalive=built.keepalive,
             forward="isospectral_directions",
             backward="isospectral_cotangents",
-            coefficient_count=count,
+            coefficient_count=len(nearby),
             coefficients=coefficients,
             factors=dict.fromkeys(energies, NO_MULTIPLES),
             rules=dict.fromkeys(energies, DIFFERENCES),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -72,11 +72,11 @@ class NearbySystems:
         except (TypeError, ValueError):
             return None
 
-    def sides(self) -> Iterator[tuple[float, list[list[Any]]]]:
-        """Yield distances, the largest first, and the systems at the nodes on both sides; ValueError if none exist."""
-        refusal, accepted = None, False
-        for distance in self._distance * NEARER ** np.arange(MOST_DISTANCES):
-            by = NODES * distance
+    def samples(self, function: Callable[[Any], Floats], here: Floats) -> tuple[float, Floats, Floats]:
+        """Return a distance at which values of a function of the system agree with that here, and both sides."""
+        distance, found, refusal = self._distance, None, None
+        for _ in range(MOST_DISTANCES):
+            by, distance = NODES * distance, NEARER * distance
             try:
                 with warnings.catch_warnings():  # of values that the user did not give
                     warnings.simplefilter("ignore")
@@ -84,25 +84,23 @@ class NearbySystems:
             except (TypeError, ValueError) as reason:
                 refusal = reason
                 continue
-            accepted = True
-            yield float(distance), systems
-        if not accepted:
-            raise ValueError(
-                f"{self._name} cannot be differentiated, since values near this one are refused: {refusal}"
-            )
-
-    def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
-        """Return the derivative of a function of the system by the entry, with about twelve digits."""
-        found = np.zeros(0)
-        for distance, systems in self.sides():
             plus, minus = (np.array([function(system) for system in side]) for side in systems)
             change = np.tensordot(WEIGHTS, plus - minus, axes=1)
             off = np.max(np.abs(np.tensordot(AT_ZERO, plus + minus, axes=1) - here), initial=0.0)
             rounding = 16.0 * UNIT_ROUNDOFF * np.max(np.abs(here), initial=0.0)
-            found = np.asarray(change / distance)
+            found = float(by[0]), plus, minus
             if not off > AGREEMENT * np.max(np.abs(change), initial=0.0) + rounding:
                 break
+        if found is None:
+            raise ValueError(
+                f"{self._name} cannot be differentiated, since values near this one are refused: {refusal}"
+            )
         return found
+
+    def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
+        """Return the derivative of a function of the system by the entry, with about twelve digits."""
+        distance, plus, minus = self.samples(function, here)
+        return np.asarray(np.tensordot(WEIGHTS, plus - minus, axes=1) / distance)
 
 
 def differences(nearby: Sequence[NearbySystems], function: Callable[[Any], Floats]) -> list[Floats]:

@@ -269,17 +269,18 @@ class StreamSlope(NamedTuple):
     numbers: NDArray[np.float64]
 
 
-def stream_slopes(coefficient: int, nearby: NearbySystems) -> list[StreamSlope]:
-    """Return the derivative of the stream by an entry of a parameter, by differences, as a sum of streams."""
-    distance, (plus, minus) = next(nearby.sides())
-    weights = np.concatenate([WEIGHTS, -WEIGHTS]) / distance
-    numbers = np.array([_stream_numbers(system) for system in (*plus, *minus)])
-    constants = plus[0].dim
-    if (numbers[:, constants:] == numbers[0, constants:]).all():
-        only_constant = np.zeros(numbers.shape[1])
-        only_constant[:constants] = weights @ numbers[:, :constants]
-        return [StreamSlope(coefficient, 1.0, only_constant)]
-    return [StreamSlope(coefficient, *one) for one in zip(weights.tolist(), numbers, strict=True)]
+def stream_slopes(system: Any, nearby: Sequence[NearbySystems]) -> list[StreamSlope]:
+    """Return derivatives of the stream by entries of parameters, coefficients by number, as sums of streams."""
+    here, constants, found = _stream_numbers(system), system.dim, list[StreamSlope]()
+    for coefficient, one in enumerate(nearby):
+        distance, plus, minus = one.samples(_stream_numbers, here)
+        weights, numbers = np.concatenate([WEIGHTS, -WEIGHTS]) / distance, np.concatenate([plus, minus])
+        if (numbers[:, constants:] == numbers[0, constants:]).all():
+            only_constant = np.zeros(numbers.shape[1])
+            only_constant[:constants] = weights @ numbers[:, :constants]
+            weights, numbers = np.ones(1), only_constant[None]
+        found += [StreamSlope(coefficient, *part) for part in zip(weights.tolist(), numbers, strict=True)]
+    return found
 
 
 def _stream_numbers(system: Any) -> NDArray[np.float64]:
