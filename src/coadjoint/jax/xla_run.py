@@ -149,9 +149,8 @@ class XlaRun:
 
     def _is_compiled(self, params: Any) -> bool:
         """Return whether compiled loops have the run at these params: if they are those of the system, as numbers."""
-        if self._by_features or self._function is None:
-            return not self._by_features
-        return LIBRARY.are_same(self._function.params, jax.tree.map(_known_numbers, params))
+        own = self._function is None or LIBRARY.are_same(self._function.params, jax.tree.map(_known_numbers, params))
+        return own and not self._by_features
 
     def _check_differentiable(self, start: Any, params: Any) -> None:
         """Raise ValueError if an energy with params has no first or second derivatives at an initial state."""

@@ -331,9 +331,10 @@ def check_derivative(
             _check_repeatable(function, value, argument, names[0], timed)
             if not np.any(value):  # slopes may be what is left of terms that cancel
                 continue
-        found = [_contradiction(function, value, slope, x, draw, names, n, timed) for draw in draws]
-        if None not in found:
-            contradictions.append(str(found[0]))
+        told = (_contradiction(function, value, slope, x, draw, names, n, timed) for draw in draws)
+        first = next(told)
+        if first is not None and all(one is not None for one in told):
+            contradictions.append(first)
     if not evaluated:
         raise ValueError(f"{names[0]} or {names[1]} fails at every sample point ({failure}); correct the function")
     if is_automatic and len(contradictions) >= min(2, len(points)):

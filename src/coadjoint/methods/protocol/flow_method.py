@@ -126,7 +126,7 @@ class FlowMethod(Method):
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
         tables = flow_tables(flow_table, h, bool(self.compensated), compact)
-        sources = tables.sources if type(self).flow_table is FlowMethod.flow_table else unrecorded
+        sources = tables.sources if self.differentiates(flow_table.system) else unrecorded
         return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=flow_table.shift)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
