@@ -20,6 +20,10 @@ export interface Frame {
   matrix: Matrix;
 }
 
+// In pixels: a part of the smaller edge, or what is left beside the middle.
+const radiusOf = ({ clientWidth, clientHeight }: HTMLCanvasElement, part: number, middle: number) =>
+  Math.min(part * Math.min(clientWidth, clientHeight), 0.95 * middle * clientWidth);
+
 export function frameOf(canvas: HTMLCanvasElement, matrix: Matrix, part: number, middle = 0.5): Frame {
   const ratio = Math.min(2, devicePixelRatio || 1);
   const width = canvas.clientWidth, height = canvas.clientHeight;
@@ -30,7 +34,7 @@ export function frameOf(canvas: HTMLCanvasElement, matrix: Matrix, part: number,
   const context = canvas.getContext("2d")!;
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
-  return { context, width, height, middle: middle * width, radius: part * Math.min(width, height), matrix };
+  return { context, width, height, middle: middle * width, radius: radiusOf(canvas, part, middle), matrix };
 }
 
 export function seen(frame: Frame, point: ArrayLike<number>): Vector {
@@ -245,8 +249,8 @@ export function drawScene(
 
 // The point of the sphere under a pixel, on the side of the reader, or null.
 export function picked(canvas: HTMLCanvasElement, matrix: Matrix, view: View, x: number, y: number): Vector | null {
-  const radius = BALL * Math.min(canvas.clientWidth, canvas.clientHeight);
-  const right = (x - canvas.clientWidth * middleOf(view)) / radius, up = (canvas.clientHeight / 2 - y) / radius;
+  const middle = middleOf(view), radius = radiusOf(canvas, BALL, middle);
+  const right = (x - canvas.clientWidth * middle) / radius, up = (canvas.clientHeight / 2 - y) / radius;
   const rest = 1 - right * right - up * up;
   if (rest < 0) return null;
   const front = [right, up, Math.sqrt(rest)];
