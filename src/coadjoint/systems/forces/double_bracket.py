@@ -177,6 +177,8 @@ class DoubleBracketDamping(Force):
         return found.middle, found.direction
 
     def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        if system.has_matrices:
+            return {"alpha": (0.0, self.metric * system.energy_sign), "metric": (0.0, self.alpha * system.energy_sign)}
         metric = np.asarray(self.metric)
         found: dict[str, tuple[Any, ...]] = {}
         if self.alpha > 0.0:
@@ -379,6 +381,13 @@ class HeatBath(DoubleBracketDamping):
         return np.asarray(product)
 
     def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        if system.has_matrices:
+            noise, found = self.noise(system), super().scalings(system)
+            if noise is None and self.temperature > 0.0:
+                return {}  # the amplitude, a square root, has no derivative at zero
+            half = 0.5 * noise.amplitude if noise is not None else 0.0
+            found = {name: (half / getattr(self, name), factor) for name, (_, factor) in found.items()} if half else found
+            return {**found, "temperature": (half / self.temperature if half else 0.0, 0.0)}
         if np.ndim(self.temperature):
             return super().scalings(system)
         return {**super().scalings(system), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}

@@ -203,11 +203,15 @@ def adjoint_casimir(block: Any) -> float:
 
 
 def blocks_of_rows(algebra: Any) -> npt.NDArray[np.int64]:
-    """Return the number of the diagonal block of each row."""
-    rows = np.zeros(algebra.N, dtype=np.int64)
-    for k, (part, _, _) in enumerate(algebra.parts):
-        rows[part] = k
-    return rows
+    """Return four times the number of the diagonal block of each row, with bits: 2 if traceless, 1 if real."""
+    return np.array(
+        [
+            4 * k + 2 * kind.traceless + (not kind.complex)
+            for k, (_, block, kind) in enumerate(algebra.parts)
+            for _ in range(block.N)
+        ],
+        dtype=np.int64,
+    )
 
 
 def gaussian_element(algebra: Any, deviates: Floats, variance: float, corrected: bool) -> Matrix:
