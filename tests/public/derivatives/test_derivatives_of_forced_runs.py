@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -293,6 +294,85 @@ def test_a_damping_by_a_stream_of_the_time_is_differentiated_at_its_time(force):
 
 C1 = 1 / (2 - 2 ** (1 / 3))
 COMPOSED = co.Composition(co.IsospectralGauss(), (C1, 1 - 2 * C1, C1))
+
+NEAR = abs(np.subtract.outer(np.arange(5), np.arange(5)))
+WEIGHTS = 1.0 / (1.0 + NEAR + (np.minimum.outer(NEAR[0], NEAR[0]) >= 2))
+BLOCKS = co.MatrixAlgebra.sum(co.MatrixAlgebra("su", 2), co.MatrixAlgebra("so", 3))
+MATRICES = {
+    "parameters": co.systems.sphere_qg(N=4, lamb=2.0, gamma=0.5, rotation=0.5),
+    "torus": co.systems.torus_euler(N=5),
+    "two fields": co.systems.reduced_mhd(N=4),
+    "carried field": co.systems.passive_scalar(N=4),
+    "buoyancy": co.systems.thermal_qg(N=4, lamb=2.0, gamma=0.5, rotation=0.5),
+    "real": co.systems.matrix_body((1.0, 1.5, 2.0, 3.0)),
+    "function on blocks": co.MatrixSystem(BLOCKS, lambda W: WEIGHTS * W, linear=BLOCKS.projected(0.3j * WEIGHTS)),
+}
+DAMPED, HEATED = F.DoubleBracketDamping(0.4, 0.7), F.HeatBath(0.4, 0.7, temperature=0.3, seed=5)
+ON_MATRICES = {
+    "damping": ((DAMPED,), co.IsospectralGauss(), 1),
+    "bath": ((HEATED,), co.IsospectralGauss(), 1),
+    "composed": ((DAMPED,), COMPOSED, 1),
+    "backward": ((DAMPED,), COMPOSED, -1),
+    "damping, then bath": ((DAMPED, HEATED), co.IsospectralGauss(2), 1),
+    "bath, then damping": ((HEATED, DAMPED), co.IsospectralGauss(), 1),
+    "cold": ((F.HeatBath(0.4, temperature=0.0, seed=5),), co.IsospectralGauss(), 1),
+}
+
+
+def drawn(system, rng, members=()):
+    """Return states of a system of matrices."""
+    shape = (*members, *system.shape)
+    x = rng.standard_normal(shape) + (1j * rng.standard_normal(shape) if system.complex else 0.0)
+    return system.algebra.projected(x) / np.sqrt(system.algebra.N)
+
+
+@pytest.mark.parametrize("acting", ON_MATRICES)
+@pytest.mark.parametrize("name", MATRICES)
+def test_dampings_and_baths_of_matrices(name, acting):
+    """With streams of each kind, by x0, strengths, and the parameters of the streams."""
+    base, (forces, method, direction) = MATRICES[name], ON_MATRICES[acting]
+    draw = partial(drawn, base, members=(2,) if acting == "bath" else ())
+    build, x0, end = changed(base.with_forces(*forces)), draw(np.random.default_rng(3)), 0.5 + 4 * direction * H
+    points = (0.5, 0.5 + (2 if HEATED in forces else 1.3) * direction * H, end)
+    gradient = assert_derivatives(build, method, x0, (0.5, end), H, draw=draw, t_eval=points)
+    strengths = ["alpha", "metric", "temperature"] if acting == "bath" else ["alpha", "metric"]
+    for key in (f"{type(force).__name__}.{one}" for force in forces for one in strengths):
+        assert abs(gradient[key]) > 1e-5
+
+
+@pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
+@pytest.mark.parametrize("name", MATRICES)
+def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, force):
+    base, rng = MATRICES[name], np.random.default_rng(4)
+    system, x0, direction = base.with_forces(force), drawn(base, rng), drawn(base, rng)
+    matrix = co.stepper(system, co.IsospectralGauss(), H).tangent(x0)
+    found = co.prepare(system, co.IsospectralGauss(), H).jvp(x0, (0.0, H), {"x0": direction})[1].x[-1]
+    np.testing.assert_allclose(base.to_vector(found), matrix @ base.to_vector(direction), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
+@pytest.mark.parametrize("name", ["two fields", "function on blocks"])
+def test_cotangents_outside_of_the_algebra_are_projected(name, force):
+    """By the flow of a force, which comes first and last."""
+    base, rng = MATRICES[name], np.random.default_rng(6)
+    ready, x0, span = co.prepare(base.with_forces(force), co.IsospectralGauss(), H), drawn(base, rng), (0.0, H)
+    sol, pullback = ready.vjp(x0, span)
+    other = rng.standard_normal((*sol.x.shape, 2)) @ [1.0, 1.0j]
+    other[0] = 0.0
+    gradients = [pullback(one)["x0"] for one in (other, base.algebra.projected(other))]
+    np.testing.assert_allclose(*gradients, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(base.algebra.projected(gradients[0]), gradients[0], rtol=0, atol=1e-13)
+
+
+def test_dampings_of_matrices_take_bounded_work():
+    """They are differentiated by the kernels: in Python a flow took milliseconds."""
+    base = co.systems.sphere_euler(N=8)
+    ready = co.prepare(base.with_forces(DAMPED, HEATED), co.IsospectralGauss(), H)
+    x0 = drawn(base, np.random.default_rng(3))
+    ready.vjp(x0, (0.0, 1.0))
+    with bounded_work(8.0):
+        sol, pullback = ready.vjp(x0, (0.0, 2000 * H), save_every=500)
+        pullback(np.ones(sol.x.shape))
 
 
 @pytest.mark.parametrize(

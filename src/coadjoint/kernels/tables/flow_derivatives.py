@@ -119,6 +119,8 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
         )
     elif kind == "ON_ORBIT" and all(term.differentiable for term in plain.hamiltonian.terms()):
         found = _on_orbit(system, j, entries, using, first, 3 if table.extent else 2)
+    elif kind == "ON_MATRIX_ORBIT":
+        found = _on_orbit(system, j, entries, using, first, 2)
     elif kind == "HAMILTONIAN_NOISE" and all(one.differentiable for H in _energies(force, plain) for one in H.terms()):
         found = FlowCoefficients("ON_ORBIT", first)
     elif kind == "SELECTIVE_DECAY" and (
@@ -236,8 +238,8 @@ def _of_law(system: Any, j: int, entries: Sequence[Any], first: int) -> FlowCoef
 def _on_orbit(
     system: Any, j: int, entries: Sequence[Any], using: Sequence[int], first: int, kinds: int
 ) -> FlowCoefficients:
-    """Return the coefficients of a damping on orbits: `kinds`, by coordinate if there are several, and those of H."""
-    n, known = system.dim if kinds > 1 else 1, system.flows[j][1].scalings(system.unforced)
+    """Return the coefficients of a damping on orbits: `kinds`, of several by coordinate of vectors, and those of H."""
+    n, known = 1 if kinds == 1 or system.has_matrices else system.dim, system.flows[j][1].scalings(system.unforced)
     triplets, covered = list[tuple[int, int, float]](), set[int]()
     energies: dict[str, EnergyDerivative] = {}
     for number in using:

@@ -238,7 +238,6 @@ class _ForceTableBuilder:
             begin=np.array(integers, dtype=np.int64),
             direction=blocks_of_rows(system.algebra),
             position=acting_layers(system),
-            turning=np.array([float(block.complex) for block in blocks]),
         )
         if noise is None:
             return table

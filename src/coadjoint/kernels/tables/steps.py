@@ -32,6 +32,7 @@ from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
+from coadjoint.systems.matrices.conjugation import blocks_of_rows
 from coadjoint.systems.matrices.streams import FunctionStream
 from coadjoint.systems.parameter_differences import WEIGHTS, NearbySystems
 from coadjoint.systems.system import System
@@ -294,14 +295,9 @@ def with_slopes(
 ) -> CompiledTables:
     """Return the tables of a step of skew-Hermitian matrices with what its derivatives read."""
     step = tables.tables.tables
-    blocks = [
-        4 * k + 2 * kind.traceless + (not kind.complex)
-        for k, (_, block, kind) in enumerate(system.algebra.parts)
-        for _ in range(block.N)
-    ]
     numbers = [np.concatenate([[one.factor], one.numbers]) for one in slopes]
     integers = [coefficients, len(slopes), len(step.coefficients), len(numbers[0]) if numbers else 0]
-    integers += [one.coefficient for one in slopes] + blocks
+    integers += [*(one.coefficient for one in slopes), *blocks_of_rows(system.algebra)]
     with_slopes = step._replace(
         whole=np.concatenate([step.whole, np.array(integers, dtype=np.int64)]),
         coefficients=np.concatenate([step.coefficients, *numbers]),

@@ -349,7 +349,8 @@ class Force(Abstract):
         """Return the derivatives of the coefficients of a flow on orbits by parameters, as the kernels read them.
 
         Of log v of the noise and of the damping, or of spins, whose directions have three coefficients, of log v of the
-        noise, of the rates and of the multiples of the field: numbers, (n,), or (entries, n).
+        noise, of the rates and of the multiples of the field: numbers, (n,), or (entries, n). Of matrices, the numbers
+        by which the amplitude of the noise and the factor of the damping change.
         """
         return {}
 

@@ -36,15 +36,13 @@ from coadjoint.systems.matrices.conjugation import (
     acting_layers,
     check_conjugated,
     conjugated,
-    conjugation_tangent,
     damped,
+    damped_along,
     damping_element,
-    damping_tangent,
     gaussian_element,
     with_layers,
 )
 from coadjoint.systems.matrices.conjugation import exponential as unitary
-from coadjoint.systems.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.validation import read_nonnegative
 
 
@@ -177,6 +175,8 @@ class DoubleBracketDamping(Force):
         return found.middle, found.direction
 
     def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        if system.has_matrices:
+            return {"alpha": (0.0, self.metric * system.energy_sign), "metric": (0.0, self.alpha * system.energy_sign)}
         metric = np.asarray(self.metric)
         found: dict[str, tuple[Any, ...]] = {}
         if self.alpha > 0.0:
@@ -197,7 +197,8 @@ class DoubleBracketDamping(Force):
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         """Return the derivative of the midpoint rule, by that of its equation."""
         if system.has_matrices:
-            return damping_tangent(system, self._factor(system), system.matrices(x), t, tau)
+            X, units = system.matrices(x), _units(system)
+            return np.asarray(system.to_vector(damped_along(system, self._factor(system), X, units, t, tau)[1]).T)
         middle, v = self._midpoint(system, x, t, tau)
         of_direction = tau * self._direction_tangent(system, middle, t + 0.5 * tau)
         _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)
@@ -379,20 +380,25 @@ class HeatBath(DoubleBracketDamping):
         return np.asarray(product)
 
     def scalings(self, system: Any) -> dict[str, tuple[Any, ...]]:
+        if system.has_matrices:
+            noise, found = self.noise(system), super().scalings(system)
+            if noise is None or not noise.amplitude:  # a square root, which has no derivative at zero
+                return {} if self.temperature else {**found, "temperature": (0.0, 0.0)}
+            half = 0.5 * noise.amplitude
+            changes = {name: (half / getattr(self, name), factor) for name, (_, factor) in found.items()}
+            return {**changes, "temperature": (half / self.temperature, 0.0)}
         if np.ndim(self.temperature):
             return super().scalings(system)
         return {**super().scalings(system), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
-    def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> LinearizedStep:
-        steps, X = list[LinearizedStep](), system.matrices(x)
+    def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        X, dX = system.matrices(x), _units(system)
         for half in range(2):
             if half:
-                steps.append(damping_tangent(system, self._factor(system), X, t, tau))
-                X = system.from_vector(steps[-1].end)
+                X, dX = damped_along(system, self._factor(system), X, dX, t, tau)
             for U in self._unitary_noise(system, t, tau, half):
-                steps.append(conjugation_tangent(system, U, X))
-                X = system.from_vector(steps[-1].end)
-        return joined_steps(steps)
+                X, dX = conjugated(system, U, X), conjugated(system, U, dX)
+        return np.asarray(system.to_vector(dX).T)
 
     def _unitary_noise(self, system: Any, t: float, tau: float, half: int) -> Iterator[NDArray[Any]]:
         """Yield what conjugates matrices in half of the noise: a shear of a second layer, then one exponential."""
@@ -439,6 +445,11 @@ class HeatBath(DoubleBracketDamping):
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]
             yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
+
+
+def _units(system: Any) -> NDArray[Any]:
+    """Return the units of the coordinates of matrices, projected on the algebra."""
+    return np.asarray(system.algebra.projected(system.from_vector(np.eye(system.dim))))
 
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -102,23 +101,6 @@ def damped(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Matri
     return np.asarray(X + system.bracket(A, M))
 
 
-def along_algebra(
-    system: Any, end: Matrix, forward: Callable[[Matrix], Matrix], backward: Callable[[Matrix], Matrix]
-) -> LinearizedStep:
-    """Return a flow whose derivative maps matrices of the algebra, with the transpose."""
-    project = system.algebra.projected
-
-    def tangents(rows: Floats) -> Floats:
-        return np.asarray(system.to_vector(forward(project(system.from_vector(rows)))))
-
-    def cotangent(row: Floats) -> Floats:
-        # Products of pairs A0 + eps A1 are transposed by those of the adjoints, between exchanges of the layers.
-        found = backward(_exchanged(system, project(system.from_vector(row))))
-        return np.asarray(system.to_vector(project(_exchanged(system, found))))
-
-    return LinearizedStep(system.to_vector(end), tangents, cotangent)
-
-
 def _exchanged(system: Any, X: Matrix) -> Matrix:
     """Return pairs A0 + eps A1 in reverse order; other states are unchanged."""
     return X if len(system.matrix_shape) == 2 or system.independent_layers else X[..., ::-1, :, :]
@@ -128,45 +110,26 @@ def _adjoint(X: Matrix) -> Matrix:
     return np.conj(np.swapaxes(X, -1, -2))
 
 
-def damping_tangent(system: Any, factor: float, X: Matrix, t: float, tau: float) -> LinearizedStep:
-    """Return `damped` with its derivative, by that of the equation of the midpoint."""
+def damped_along(
+    system: Any, factor: float, X: Matrix, directions: Matrix, t: float, tau: float
+) -> tuple[Matrix, Matrix]:
+    """Return `damped` and its derivative along matrices of the algebra, by that of the equation of the midpoint."""
     # M = L X L* with L = (1 - A/2)^-1; its change is L dX L* + (Z - Z*)/2 with Z = L dA M.
     M, A = damped_midpoint(system, factor, X, t, tau)
     bracket, middle = system.bracket, t + 0.5 * tau
-    Y = system.stream_of(M, middle)
-    L, acting = _resolvent(system, A), acting_layers(system) == len(system.matrix_shape) - 1
+    Y, L = system.stream_of(M, middle), _resolvent(system, A)
+    start = conjugated(system, L, directions)
 
     def change_of_element(dM: Matrix) -> Matrix:
         return _element(system, tau * factor, bracket(system.slope_of(dM, middle), M) + bracket(Y, dM))
 
-    def element_transposed(a: Matrix) -> Matrix:
-        given = _exchanged(system, a)
-        if not acting:
-            given = given * np.array([1.0, 0.0])[:, None, None]
-        b = _exchanged(system, tau * factor * system.dual(given))
-        of_stream = system.slope_transposed(_exchanged(system, bracket(M, b)), middle)
-        return np.asarray(_exchanged(system, of_stream) - bracket(Y, b))
+    def improved(dM: Matrix) -> Matrix:
+        Z = times(system, times(system, L, change_of_element(dM)), M)
+        return np.asarray(start + 0.5 * (Z - _adjoint(Z)))
 
-    def forward(dX: Matrix) -> Matrix:
-        start = conjugated(system, L, dX)
-
-        def improved(dM: Matrix) -> Matrix:
-            Z = times(system, times(system, L, change_of_element(dM)), M)
-            return np.asarray(start + 0.5 * (Z - _adjoint(Z)))
-
-        dM = _fixed_point(improved, start, t)
-        return np.asarray(dX + bracket(change_of_element(dM), M) + bracket(A, dM))
-
-    def backward(row: Matrix) -> Matrix:
-        start = element_transposed(bracket(M, row)) - bracket(A, row)
-
-        def improved(m: Matrix) -> Matrix:
-            Q = times(system, times(system, _adjoint(L), m), M)
-            return np.asarray(start + element_transposed(0.5 * (_adjoint(Q) - Q)))
-
-        return np.asarray(row + conjugated(system, _adjoint(L), _fixed_point(improved, start, t)))
-
-    return along_algebra(system, X + bracket(A, M), forward, backward)
+    dM = _fixed_point(improved, start, t)
+    end = np.asarray(X + bracket(A, M))
+    return end, np.asarray(directions + bracket(change_of_element(dM), M) + bracket(A, dM))
 
 
 def _resolvent(system: Any, A: Matrix) -> Matrix:
@@ -192,9 +155,18 @@ def _fixed_point(improved: Callable[[Matrix], Matrix], start: Matrix, t: float) 
 
 
 def conjugation_tangent(system: Any, U: Matrix, X: Matrix) -> LinearizedStep:
-    """Return a conjugation with its derivative."""
-    maps = [partial(conjugated, system, one) for one in (U, _adjoint(U))]
-    return along_algebra(system, maps[0](X), *maps)
+    """Return a conjugation with its derivative, which maps matrices of the algebra, and the transpose."""
+    project = system.algebra.projected
+
+    def tangents(rows: Floats) -> Floats:
+        return np.asarray(system.to_vector(conjugated(system, U, project(system.from_vector(rows)))))
+
+    def cotangent(row: Floats) -> Floats:
+        # Products of pairs A0 + eps A1 are transposed by those of the adjoints, between exchanges of the layers.
+        found = conjugated(system, _adjoint(U), _exchanged(system, project(system.from_vector(row))))
+        return np.asarray(system.to_vector(project(_exchanged(system, found))))
+
+    return LinearizedStep(system.to_vector(conjugated(system, U, X)), tangents, cotangent)
 
 
 def adjoint_casimir(block: Any) -> float:
@@ -203,11 +175,15 @@ def adjoint_casimir(block: Any) -> float:
 
 
 def blocks_of_rows(algebra: Any) -> npt.NDArray[np.int64]:
-    """Return the number of the diagonal block of each row."""
-    rows = np.zeros(algebra.N, dtype=np.int64)
-    for k, (part, _, _) in enumerate(algebra.parts):
-        rows[part] = k
-    return rows
+    """Return four times the number of the diagonal block of each row, with bits: 2 if traceless, 1 if real."""
+    return np.array(
+        [
+            4 * k + 2 * kind.traceless + (not kind.complex)
+            for k, (_, block, kind) in enumerate(algebra.parts)
+            for _ in range(block.N)
+        ],
+        dtype=np.int64,
+    )
 
 
 def gaussian_element(algebra: Any, deviates: Floats, variance: float, corrected: bool) -> Matrix:

@@ -20,12 +20,12 @@ template <class T>
 class Conjugation {
   public:
     const int64_t n, square, layers;  // of a state
-    std::vector<T> A;
+    std::vector<T> A, E;              // E = U - 1
 
     // The products of matrices of T and of real ones are given.
     Conjugation(int64_t gemm, int64_t real_gemm, int64_t n, int64_t layers)
-        : n(n), square(n * n), layers(layers), A(layers * square), single(gemm, n, 1), whole(gemm, n, layers),
-          cayley(real_gemm, n), swept(n * n), E(layers * square), B(layers * square), C(layers * square),
+        : n(n), square(n * n), layers(layers), A(layers * square), E(layers * square), single(gemm, n, 1),
+          whole(gemm, n, layers), cayley(real_gemm, n), swept(n * n), B(layers * square), C(layers * square),
           second(layers * square), third(layers * square), fourth(layers * square) {}
 
     // Approximate number of multiplications of an exponential and its action.
@@ -143,7 +143,7 @@ class Conjugation {
     const Products<T> single, whole;
     Cayley<T> cayley;
     PlanesOf<T> swept;
-    std::vector<T> E, B, C, second, third, fourth;  // E = U - 1; powers of A
+    std::vector<T> B, C, second, third, fourth;  // powers of A
 
     // The parts of a state that one product acts on: both layers together, or one after the other.
     template <class Use>
@@ -168,10 +168,10 @@ class MatrixForce {
 // X' = [A, X] with A = rate[0] times the dual of [Y, X], by the midpoint rule in Cayley transforms, which is symmetric,
 // between halves of a noise of `amplitude` in all directions of the blocks on the diagonal. Of the table: `begin` and `aim`
 // are the integers and the numbers of the stream Y, `function` has the addresses of the product and of that of real
-// matrices, and `position` is the layers of A. Row i belongs to the block b = direction[i], whose adjoint Casimir is rate[1 + b], and whose entries are complex if
-// turning[b] is one, else it is zero.
+// matrices, and `position` is the layers of A. Row i belongs to the block b = direction[i] / 4, whose adjoint Casimir is
+// rate[1 + b], with the bits REAL_BLOCK and TRACELESS_BLOCK.
 template <class T>
-class OrbitDamping final : public MatrixForce {
+class OrbitDamping : public MatrixForce {
   public:
     explicit OrbitDamping(const ForceTable& table)
         : table(table), stream(table.begin, table.aim),
@@ -188,7 +188,7 @@ class OrbitDamping final : public MatrixForce {
         return random ? shake(X, t, tau, 1, member) : int64_t(DONE);
     }
 
-  private:
+  protected:
     // Of the state: corrections that may stagnate as round-off, and multiple of the first one that diverges; midpoint
     // iterations, of which convergent ones take some ten.
     static constexpr double NEAR_ROUND_OFF = 0x1p-40, GROWN = 0x1p20;
@@ -212,11 +212,7 @@ class OrbitDamping final : public MatrixForce {
             ++evaluations;
             if (!stream.apply(M.data(), middle, Y.data())) return UNDEFINED;
             by.commutator(Y.data(), M.data(), slope.data());
-            // The derivative by one layer is an element of the other.
-            for (int64_t l = 0; l < depth; ++l) {
-                const T* const from = slope.data() + (by.layers - 1 - l) * square;
-                for (int64_t e = 0; e < square; ++e) by.A[l * square + e] = (tau * table.rate[0]) * from[e];
-            }
+            set_element(tau * table.rate[0], slope.data(), by.A.data());
             residual = by.improve_midpoint(depth, X, M.data());
             if (!(residual - residual == 0.0)) return OVERFLOWED;
             if (iterations == 1) first = residual;
@@ -227,6 +223,14 @@ class OrbitDamping final : public MatrixForce {
         by.transform(depth);
         by.act(depth, X);
         return DONE;
+    }
+
+    // The derivative by one layer is an element of the other.
+    void set_element(double factor, const T* Z, T* to) const {
+        for (int64_t l = 0; l < depth; ++l) {
+            const T* const from = Z + (by.layers - 1 - l) * square;
+            for (int64_t e = 0; e < square; ++e) to[l * square + e] = factor * from[e];
+        }
     }
 
     // Half of the noise. Its exponential has the law of a Gaussian element, whose distribution is invariant under U: on
@@ -256,8 +260,8 @@ class OrbitDamping final : public MatrixForce {
                     by.A[e] = by.A[f] = T(0.0);
                     continue;
                 }
-                const int64_t block = table.direction[i];
-                const double casimir = corrected ? table.rate[1 + block] : 0.0, imaginary = table.turning[block];
+                const double casimir = corrected ? table.rate[1 + table.direction[i] / 4] : 0.0;
+                const double imaginary = table.direction[i] & REAL_BLOCK ? 0.0 : 1.0;
                 const double size = std::sqrt(variance / (1.0 + variance * casimir / 24.0)), shared = std::sqrt(0.5) * size;
                 if (i == j) set(by.A[e], 0.0, imaginary * size * g[e]);
                 else set(by.A[e], shared * g[e], imaginary * shared * g[f]);

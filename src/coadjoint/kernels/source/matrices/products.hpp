@@ -70,6 +70,23 @@ void skew_part(int64_t n, const T* A, double factor, T* to, bool add) {
     });
 }
 
+// Project a skew-Hermitian matrix on an algebra of blocks on the diagonal: four times the block of each row, with bits.
+constexpr int64_t REAL_BLOCK = 1, TRACELESS_BLOCK = 2;
+template <class T>
+void project_on_blocks(int64_t n, const int64_t* block, T* X) {
+    for (int64_t i = 0; i < n; ++i)
+        for (int64_t j = 0; j < n; ++j) {
+            T& entry = X[i * n + j];
+            if (block[i] != block[j]) entry = T(0.0);
+            if (block[i] & REAL_BLOCK) entry = T(std::real(entry));
+        }
+    for (int64_t first = 0, last; first < n; first = last) {
+        T sum(0.0);
+        for (last = first; last < n && block[last] == block[first]; ++last) sum += X[last * (n + 1)];
+        for (int64_t i = first; i < last && (block[first] & TRACELESS_BLOCK); ++i) X[i * (n + 1)] -= sum / double(last - first);
+    }
+}
+
 // General matrices times general matrices, in Fortran's convention.
 template <class R>
 using Gemm = void (*)(const char*, const char*, const int*, const int*, const int*, const R*, const R*, const int*,

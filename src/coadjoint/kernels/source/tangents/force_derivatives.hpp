@@ -5,16 +5,19 @@
 
 #include "tangents/decay_derivatives.hpp"
 #include "tangents/law_derivatives.hpp"
+#include "tangents/matrix_orbit_derivatives.hpp"
 #include "tangents/noise_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
 #include "tangents/shift_factor.hpp"
 
 namespace coadjoint {
 
-// The flow of a force: when it begins, how long, which one, on which side of the substep, by which of the inner loops.
+// The flow of a force: when it begins, how long, which one, on which side of which substep, by which of the inner loops.
 struct FlowTime {
     double t, tau;
-    int64_t flow, side, loop, member;
+    int64_t flow, side, loop, member, substep;
+
+    int64_t place() const { return 2 * substep + side; }
 };
 
 // The flow `flow` of the member from the state x, called in Python: with `count` vectors, which become their tangents with
@@ -41,11 +44,14 @@ class ForceDerivative {
             noise.reset(new NoiseDerivative(force, tables.field, tables.group, table));
         else if (table.kind == derivatives::ON_ORBIT && force.kind == SELECTIVE_DECAY)
             decay.reset(new DecayDerivative(force, tables.field, table));
+        else if (table.kind == derivatives::ON_ORBIT && force.kind == ON_MATRIX_ORBIT)
+            damping = matrix_orbit_derivative(force, table);
         else if (table.kind == derivatives::ON_ORBIT)
             orbit.reset(new OrbitDerivative(force, tables.field, table));
         if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
-        by_nodes = decay && force.extent ? 0 : table.moved;  // the stream of a decay of matrices is differentiated
+        // The streams of a decay and of a damping of matrices are differentiated.
+        by_nodes = damping || (decay && force.extent) ? 0 : table.moved;
         for (int64_t k = 0; k < NODES * by_nodes; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
         slopes.resize(modes ? table.moved : 0);
@@ -68,6 +74,8 @@ class ForceDerivative {
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients, element, of_elements))
             throw NotDifferentiated();
         if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
+        if (damping && !damping->push(x, end, at.t, at.tau, at.member, at.place(), vectors, count, own, all.coefficients))
+            throw NotDifferentiated();
         if (whole || table.depends) {
             called.resize(count * all.called);
             for (int64_t v = 0; v < count; ++v)
@@ -118,6 +126,7 @@ class ForceDerivative {
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own, element, of_element))
             throw NotDifferentiated();
         if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();
+        if (damping && !damping->pull(x, end, at.t, at.tau, at.member, at.place(), row, own)) throw NotDifferentiated();
     }
 
   private:
@@ -141,6 +150,7 @@ class ForceDerivative {
     std::unique_ptr<OrbitDerivative> orbit;
     std::unique_ptr<NoiseDerivative> noise;
     std::unique_ptr<DecayDerivative> decay;
+    std::unique_ptr<MatrixOrbitDerivative> damping;
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
     int64_t by_nodes = 0;  // moved parameters of which flows at nodes are taken

@@ -235,14 +235,15 @@ class ForcedSteps {
     void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit) {
         const bool end = &one == (side ? &layout.substeps.back() : &layout.substeps.front());
         const double begin = start + one.begin * h, half = 0.5 * (one.length * h);
+        const int64_t substep = &one - layout.substeps.data();
         for (size_t k = 0; k < forces.size(); ++k) {
             const int64_t j = int64_t(side ? forces.size() - 1 - k : k);
             const bool around = forces[j]->around_steps();
             if (around && !end) continue;
             for (int64_t b = 0; b < count; ++b) {
                 if (around && !forces[j]->acts(start, h, first + b, side)) continue;
-                visit(around ? FlowTime{start, h, j, side, one.loop, first + b}
-                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, first + b}, b);
+                visit(around ? FlowTime{start, h, j, side, one.loop, first + b, substep}
+                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, first + b, substep}, b);
             }
         }
     }

@@ -20,9 +20,8 @@ namespace {
 
 // Indices in `whole` behind those of `TableIndex`: the count of coefficients and of streams that are slopes by them, the
 // index of the numbers of the first one, a factor and those that a stream with a constant reads, the count of these, and
-// the coefficient of each; and four times the block of each row, with the bits TRACELESS and REAL.
+// the coefficient of each; and the blocks of the rows as `project_on_blocks` reads them.
 enum SlopeIndex { COEFFICIENTS = GENERAL + 1, SLOPES, SLOPE_NUMBERS, SLOPE_SIZE, SLOPE_COEFFICIENTS };
-constexpr int64_t REAL = 1, TRACELESS = 2;
 
 template <class T>
 class StepDerivative final : public SkewStep<T>, public Kept {
@@ -194,20 +193,7 @@ class StepDerivative final : public SkewStep<T>, public Kept {
     }
 
     // Project a skew-Hermitian matrix on the algebra.
-    void project(T* X) const {
-        const int64_t* const block = tables.whole + SLOPE_COEFFICIENTS + slopes.size();
-        for (int64_t i = 0; i < n; ++i)
-            for (int64_t j = 0; j < n; ++j) {
-                T& entry = X[i * n + j];
-                if (block[i] != block[j]) entry = T(0.0);
-                if (block[i] & REAL) entry = T(std::real(entry));
-            }
-        for (int64_t first = 0, last; first < n; first = last) {
-            T sum(0.0);
-            for (last = first; last < n && block[last] == block[first]; ++last) sum += X[last * (n + 1)];
-            for (int64_t i = first; i < last && (block[first] & TRACELESS); ++i) X[i * (n + 1)] -= sum / double(last - first);
-        }
-    }
+    void project(T* X) const { project_on_blocks(n, tables.whole + SLOPE_COEFFICIENTS + slopes.size(), X); }
 
     // to := a times one matrix, plus b times another one.
     void set_combination(int64_t to, double a, int64_t one, double b, int64_t other, int64_t count) {

@@ -234,27 +234,32 @@ class Exponential {
 };
 
 // Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
-// near round-off no longer fall; false if a step of it is.
+// near round-off no longer fall; false if a step of it is, or if it does not end. Round-off is relative to the numbers and `least`.
 template <class Improve>
-bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+bool iterate(double* now, int64_t count, std::vector<double>& before, const Improve& improve, double least = 0.0) {
     constexpr int64_t MOST_ITERATIONS = 192;
     constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
     double last = std::numeric_limits<double>::infinity(), fall_before = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
-        before = now;
+        before.assign(now, now + count);
         if (!improve()) return false;
-        double change = 0.0, size = 0.0;
-        for (size_t i = 0; i < now.size(); ++i) {
+        double change = 0.0, size = least;
+        for (int64_t i = 0; i < count; ++i) {
             change += absolute(now[i] - before[i]);
             size += absolute(now[i]);
         }
         // The slower of the last two falls, so that a part that falls fast does not hide another one.
         const double fall = k > 0 ? change / last : 1.0, falls = std::max(fall, fall_before);
         if (!(change > SETTLED * size) || (falls <= FAST && change * falls <= SETTLED * size) ||
-            (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) break;
+            (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) return true;
         last = change, fall_before = fall;
     }
-    return true;
+    return false;
+}
+
+template <class Improve>
+bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+    return iterate(now.data(), int64_t(now.size()), before, improve);
 }
 
 class OrbitDerivative {
@@ -298,7 +303,7 @@ class OrbitDerivative {
                     if (adds) first[i] += rate(i) * driven[i] * of_length[i] + tau * along[2 * n + i] * gradients[i];
                 }
                 std::fill(dv.begin(), dv.end(), 0.0);
-                iterate(dv, before, [&] {
+                const bool solved = iterate(dv, before, [&] {
                     std::copy_n(dx, n, dm.data());
                     for (double& entry : dv) entry *= 0.5;
                     half.push(dv.data(), dm.data());
@@ -310,6 +315,7 @@ class OrbitDerivative {
                     for (int64_t i = 0; i < n; ++i) dv[i] += first[i];
                     return true;
                 });
+                if (!solved) return false;
                 one.push(dv.data(), dx);
             }
         }
@@ -333,12 +339,13 @@ class OrbitDerivative {
                 continue;
             }
             first = of_v;
-            iterate(of_v, before, [&] {
+            const bool solved = iterate(of_v, before, [&] {
                 of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
                 half.pull(through.data(), row.data());
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
                 return true;
             });
+            if (!solved) return false;
             // The last `through` is as accurate as `of_v`, which follows from it.
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
             each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
