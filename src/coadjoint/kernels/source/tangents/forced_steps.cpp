@@ -1,4 +1,5 @@
 // Whole runs with forces with their derivatives, for Python: half flows of the forces around steps of another loop.
+#include "flows/finished_step.hpp"
 #include "steps/forced_layout.hpp"
 #include "steps/inner_step.hpp"
 #include "tangents/force_derivatives.hpp"
@@ -36,7 +37,8 @@ class ForcedSteps {
         for (const int64_t* loop : layout.loops) {
             std::vector<int64_t> plain(loop, loop + ForcedLayout::ADDRESSES);
             if (shifted) plain.back() = 0;
-            inner.emplace_back(new InnerStep(plain.data(), n, square, square ? 1 : count));
+            programs.push_back(square || count > 1 || n > WIDEST ? nullptr : FinishedStep<double>::of(plain.data(), n));
+            inner.emplace_back(programs.back() ? nullptr : new InnerStep(plain.data(), n, square, square ? 1 : count));
         }
         for (size_t k = 0; k < layout.loops.size(); ++k)
             derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
@@ -203,6 +205,8 @@ class ForcedSteps {
     std::vector<double> x, groups, started, zeros, change = std::vector<double>(2 * square), ones;
     std::vector<int64_t> status;
     std::vector<double*> states;
+    // One of both for each length, as in runs.
+    std::vector<std::unique_ptr<FinishedStep<double>>> programs;
     std::vector<std::unique_ptr<InnerStep>> inner;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<InnerDerivative> derivatives;
@@ -290,6 +294,11 @@ class ForcedSteps {
     // Take a step of the inner loop. `started` are the elements with which it starts, and `groups`, if not shifted, those
     // after it; if shifted `ends` are those after it.
     void take(const Substep& one, double t, double h) {
+        if (const auto& program = programs[one.loop]) {
+            program->take(x.data(), t, h, true);
+            if (int64_t(program->status) != DONE) throw NotDifferentiated();
+            return;
+        }
         started = shifted ? units() : groups;
         if (shifted) ends = started;
         InnerStep& step = *inner[one.loop];
