@@ -30,13 +30,16 @@ static INLINE void apply_and_store(const FlowTables& tables, const C& constants,
 }
 
 // Members as lanes, or one member with the rows of its group element as lanes.
-template <class A, class G, class C>
-class StepsBackward {
+template <bool of_members, class C>
+class StepsBackward final : public Kept {
+    typedef std::conditional_t<of_members, ManyMembers, double> A;
+    typedef std::conditional_t<of_members, ManyMembers, GroupRows> G;
+
   public:
-    StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first, int64_t count,
+    StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t count,
                   InterruptCheck& interrupts)
         : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), used(of_members ? count : 1),
-          members{first, used}, size(run.size), d(run.square > 0 ? tables.group.size : 0),
+          members{0, used}, size(run.size), d(run.square > 0 ? tables.group.size : 0),
           rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
           steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
           states((steps + 1) * size), x(2 * size), cotangents(size), finished(2 * size), added(size),
@@ -44,7 +47,6 @@ class StepsBackward {
           group_cotangents(square), copies(2 * square), group_added(square), group_scratch(3 * square),
           angles(tables.longest), derivatives(tables.terms, of_coefficients.at),
           backward(all, constants, derivatives, run.square > 0, angles),
-          shared_steps(of_members ? 1 : run.threads, size),
           work(Numbers<A>::lanes * work_of_flows(tables)) {
         if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
         FlowsOfRows<N, C> flows_of(tables, constants, run.square > 0, true);
@@ -53,10 +55,26 @@ class StepsBackward {
         finish = flows_of(finishing_rows(tables));
         longest = std::max(opening.size(), repeated.size());
         rotations.clear(run.undone ? 0 : steps * longest);
+    }
+
+    // Carry the cotangents of the members from `first` on, of a run with as many steps as that of the constructor.
+    void take(const BackwardRun& given, int64_t first) {
+        run = given, members.first = first;
+        shared_steps.emplace(of_members ? 1 : run.threads, size);
+        std::fill_n(of_coefficients.at, coefficients, A(0.0));
+        largest_deviation = A(0.0);
         read(x.at, run.momenta), read(x.at + size, run.errors), read(cotangents.at, run.cotangents);
         read_group(group.at, run.groups), read_group(group.at + square, run.group_errors);
         read_group(group_cotangents.at, run.group_cotangents);
+        if (tables.compensated)
+            run.square > 0 ? forward<CORRECTED, true>() : forward<CORRECTED, false>();
+        else
+            run.square > 0 ? forward<PLAIN, true>() : forward<PLAIN, false>();
+        take_back();
+        shared_steps.reset();
     }
+
+  private:
 
     // Take the steps, and store their states and rotations, unless steps are undone from the last state.
     template <Summation summation, bool with_group>
@@ -66,7 +84,7 @@ class StepsBackward {
         store(0);
         for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
             interrupts.after(work);
-            shared_steps.begin();
+            shared_steps->begin();
             const A t(run.t0 + double(k - 1) * run.h);
             const auto& flows = k == 1 ? opening : repeated;
             for (size_t position = 0; position < flows.size(); ++position)
@@ -77,7 +95,7 @@ class StepsBackward {
                     rows_forward<summation>({flow.row, flow.row + 1}, momentum, element, t);
             if (flows.empty()) rows_forward<summation>(rows_of_step(tables, k), momentum, element, t);
             store(k - run.k0);
-            shared_steps.end();
+            shared_steps->end();
         }
     }
 
@@ -85,7 +103,7 @@ class StepsBackward {
         int64_t mark = run.marked;
         for (int64_t k = run.k1; k > run.k0; --k) {
             interrupts.after(4 * work);
-            run.undone ? shared_steps.begin() : shared_steps.begin_as_measured();
+            run.undone ? shared_steps->begin() : shared_steps->begin_as_measured();
             const A t(run.t0 + double(k - 1) * run.h);
             const A* state = run.undone ? x.at : states.at + (k - run.k0) * size;
             const G* after = run.undone ? group.at : groups.at + (k - run.k0) * square;
@@ -115,7 +133,7 @@ class StepsBackward {
                            {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
                             {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
             if (run.deviations && !run.undone) compare_with(states.at + (k - 1 - run.k0) * size);
-            run.undone ? shared_steps.end() : shared_steps.end_as_measured();
+            run.undone ? shared_steps->end() : shared_steps->end_as_measured();
         }
         members.each_number(cotangents.at, size, used, write_entries(run.cotangents));
         members.each_number(of_coefficients.at, coefficients, used,
@@ -127,17 +145,15 @@ class StepsBackward {
         }
     }
 
-  private:
-    static constexpr bool of_members = Numbers<A>::lanes == Numbers<G>::lanes;
     typedef typename RowsBackward<A, G, C>::N N;
     typedef ElementaryFlow<N> Flow;
     const FlowCotangents& all;
     const FlowTables& tables;
     const C constants;
-    const BackwardRun& run;
+    BackwardRun run;
     InterruptCheck& interrupts;
     const int64_t used;
-    const MembersOfRun<of_members> members;
+    MembersOfRun<of_members> members;
     const int64_t size, d, rows, square, steps, coefficients;
     AlignedArray<A> states, x, cotangents, finished, added, scratch, of_coefficients;
     AlignedArray<G> groups, group, group_cotangents, copies, group_added, group_scratch;
@@ -145,7 +161,7 @@ class StepsBackward {
     const CoefficientCotangents<A> derivatives;
     RowsBackward<A, G, C> backward;
     std::vector<Flow> opening, repeated, finish;
-    SharedSteps shared_steps;
+    std::optional<SharedSteps> shared_steps;
     const int64_t work;
     size_t longest;
     AlignedArray<AppliedRotations<A>> rotations{0};
@@ -209,25 +225,10 @@ class StepsBackward {
     }
 };
 
-template <class A, class G, class C>
-static void run_members(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first,
-                         int64_t count, InterruptCheck& interrupts) {
-    StepsBackward<A, G, C> steps(all, constants, run, first, count, interrupts);
-    if (all.base.compensated)
-        run.square > 0 ? steps.template forward<CORRECTED, true>() : steps.template forward<CORRECTED, false>();
-    else
-        run.square > 0 ? steps.template forward<PLAIN, true>() : steps.template forward<PLAIN, false>();
-    steps.take_back();
-}
-
 // Carry the cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
 static int64_t carry_backward(const FlowCotangents& tables, const BackwardRun& run, int64_t first, int64_t last,
-                              InterruptCheck& interrupts) {
-    return run_in_lanes<MEMBER_LANES>(
-        tables, run.size, first, last, interrupts, [&](auto together, const auto& constants, auto&&... rest) {
-            typedef std::conditional_t<together(), ManyMembers, double> A;
-            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(tables, constants, run, rest...);
-        });
+                              InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
+    return run_in_lanes<MEMBER_LANES, StepsBackward>(tables, run, first, last, interrupts, kept);
 }
 
 EXPORT_DERIVATIVES(flow_cotangents, FlowCotangents, BackwardRun, carry_backward)

@@ -1,4 +1,5 @@
 // Whole runs with forces with their derivatives, for Python: half flows of the forces around steps of another loop.
+#include "flows/finished_step.hpp"
 #include "steps/forced_layout.hpp"
 #include "steps/inner_step.hpp"
 #include "tangents/force_derivatives.hpp"
@@ -36,7 +37,8 @@ class ForcedSteps {
         for (const int64_t* loop : layout.loops) {
             std::vector<int64_t> plain(loop, loop + ForcedLayout::ADDRESSES);
             if (shifted) plain.back() = 0;
-            inner.emplace_back(new InnerStep(plain.data(), n, square, square ? 1 : count));
+            programs.push_back(square || count > 1 || n > WIDEST ? nullptr : FinishedStep<double>::of(plain.data(), n));
+            inner.emplace_back(programs.back() ? nullptr : new InnerStep(plain.data(), n, square, square ? 1 : count));
         }
         for (size_t k = 0; k < layout.loops.size(); ++k)
             derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
@@ -111,37 +113,36 @@ class ForcedSteps {
 
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
-        // The states before the first flows, before the step, and after it, and the elements then, and those of its loop
-        // after it.
-        const int64_t each = count * (3 * n + (shifted ? 4 : 3) * square);
+        // The states and elements before each flow and before the step, and, if shifted, the elements of its loop after it.
+        const int64_t each = count * (slot_of_flow(0, 1) + 1) * (n + square) + (shifted ? count * square : 0);
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
         };
         begin(run);
-        const auto move = [&](const FlowTime& at, int64_t b) {
-            apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
-        };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             const double start = run.t0 + double(k - 1) * run.h;
             each_substep(start, run.h, [&](const Substep& one, double t, double h) {
                 double* const to = held_at(k, one);
-                double* const elements = to + 3 * count * n;
-                const auto hold = [&](int64_t point) {
-                    std::copy_n(x.data(), count * n, to + point * count * n);
-                    std::copy_n(groups.data(), count * square, elements + point * count * square);
+                const auto hold = [&](int64_t slot, int64_t b) {
+                    std::copy_n(x.data() + b * n, n, state_in(to, slot, b));
+                    std::copy_n(groups.data() + b * square, square, element_in(to, slot, b));
                 };
-                hold(0);
+                const auto move = [&](const FlowTime& at, int64_t b) {
+                    hold(slot_of_flow(at.flow, at.side), b);
+                    apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
+                };
                 each_flow(one, 0, start, run.h, move);
-                hold(1);
+                for (int64_t b = 0; b < count; ++b) hold(slot_of_step(), b);
                 take(one, t, h);
-                if (shifted) std::copy_n(ends.data(), count * square, elements + 3 * count * square);
+                if (shifted) std::copy_n(ends.data(), count * square, to + each - count * square);
                 for (int64_t b = 0; shifted && b < count; ++b)
-                    shifted_group(b, shift.at(to + (count + b) * n, h), change.data());
-                hold(2);
+                    shifted_group(b, shift.at(state_in(to, slot_of_step(), b), h), change.data());
                 each_flow(one, 1, start, run.h, move);
             });
         }
+        std::vector<const double*> ends_of_flows;
+        for (int64_t b = 0; b < count; ++b) ends_of_flows.push_back(x.data() + b * n);
         double* const rows = run.cotangents + first * n;
         double* const of_groups = run.group_cotangents + first * square;
         double* const by_coefficients = run.coefficients + first * all.coefficients;
@@ -160,16 +161,22 @@ class ForcedSteps {
                 double* const from = held_at(k, one);
                 const double t = start + one.begin * run.h, h = one.length * run.h;
                 InterruptCheck::of_this_call().after(4 * work);
-                double* const elements_held = from + 3 * count * n;
-                pull_flows(one, 1, start, run.h, from + 2 * count * n, elements_held + 2 * count * square, rows, of_groups,
-                           by_coefficients);
+                const auto pull = [&](const FlowTime& at, int64_t b) {
+                    const int64_t slot = slot_of_flow(at.flow, at.side);
+                    const double* const state = state_in(from, slot, b);
+                    flows[at.flow]->pull(at, state, ends_of_flows[b], rows + b * n, by_coefficients + b * all.coefficients,
+                                         turned_by(at, element_in(from, slot, b)), of_groups + b * square);
+                    ends_of_flows[b] = state;
+                };
+                each_flow(one, 1, start, run.h, pull, true);
                 std::copy_n(rows, count * n, after.data());
                 std::copy_n(of_groups, count * square, group_after.data());
                 std::fill_n(rows, count * n, 0.0);
                 std::fill_n(through.data(), count * n, 0.0);
-                double* const before = from + count * n;
-                double* const element = elements_held + count * square;
-                if (shifted) std::copy_n(elements_held + 3 * count * square, count * square, ends.data());
+                double* const before = state_in(from, slot_of_step(), 0);
+                double* const element = element_in(from, slot_of_step(), 0);
+                for (int64_t b = 0; b < count; ++b) ends_of_flows[b] = before + b * n;
+                if (shifted) std::copy_n(from + each - count * square, count * square, ends.data());
                 for (int64_t b = 0; shifted && b < count; ++b)
                     shifted_cotangents(b, shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
                                        of_groups + b * square, through.data() + b * n,
@@ -183,7 +190,7 @@ class ForcedSteps {
                 derivatives[one.loop](derivatives[one.loop].backward, of_step);
                 if (!shifted) std::copy_n(of_element.data(), count * square, of_groups);
                 for (int64_t i = 0; i < count * n; ++i) rows[i] += through[i];
-                pull_flows(one, 0, start, run.h, from, elements_held, rows, of_groups, by_coefficients);
+                each_flow(one, 0, start, run.h, pull, true);
             }
         }
         for (int64_t b = 0; b < count; ++b) {
@@ -203,14 +210,12 @@ class ForcedSteps {
     std::vector<double> x, groups, started, zeros, change = std::vector<double>(2 * square), ones;
     std::vector<int64_t> status;
     std::vector<double*> states;
+    // One of both for each length, as in runs.
+    std::vector<std::unique_ptr<FinishedStep<double>>> programs;
     std::vector<std::unique_ptr<InnerStep>> inner;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<InnerDerivative> derivatives;
     std::vector<std::unique_ptr<ForceDerivative>> flows;
-    // Of the flows on a side of a substep: with the states before and after each.
-    std::vector<FlowTime> times;
-    std::vector<int64_t> members;
-    std::vector<double> passed, turned;
     const int64_t work;
     int64_t ONE_STEP = 1;
 
@@ -230,14 +235,15 @@ class ForcedSteps {
         }
     }
 
-    // Visit the flows of all members that act on a side of a substep of the step from `start` of length h, in their order.
+    // Visit the flows of all members that act on a side of a substep of the step from `start` of length h, in their order
+    // or backward.
     template <class Visit>
-    void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit) {
+    void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit, bool backward = false) {
         const bool end = &one == (side ? &layout.substeps.back() : &layout.substeps.front());
         const double begin = start + one.begin * h, half = 0.5 * (one.length * h);
         const int64_t substep = &one - layout.substeps.data();
         for (size_t k = 0; k < forces.size(); ++k) {
-            const int64_t j = int64_t(side ? forces.size() - 1 - k : k);
+            const int64_t j = int64_t((side == 1) != backward ? forces.size() - 1 - k : k);
             const bool around = forces[j]->around_steps();
             if (around && !end) continue;
             for (int64_t b = 0; b < count; ++b) {
@@ -257,29 +263,12 @@ class ForcedSteps {
         if (forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
-    // Take the flows on a side again from the states and elements before them, and pull the cotangents back.
-    void pull_flows(const Substep& one, int64_t side, double start, double h, const double* from, const double* elements,
-                    double* rows, double* of_groups, double* by_coefficients) {
-        times.clear(), members.clear(), passed.clear(), turned.clear();
-        std::copy_n(from, count * n, x.data());
-        std::copy_n(elements, count * square, groups.data());
-        each_flow(one, side, start, h, [&](const FlowTime& at, int64_t b) {
-            times.push_back(at);
-            members.push_back(b);
-            double* const state = x.data() + b * n;
-            double* const element = groups.data() + b * square;
-            passed.insert(passed.end(), state, state + n);
-            turned.insert(turned.end(), element, element + square);
-            apply(at, state, turned_by(at, element));
-            passed.insert(passed.end(), state, state + n);
-        });
-        for (size_t k = times.size(); k-- > 0;) {
-            const int64_t b = members[k];
-            const double* const before = passed.data() + 2 * k * n;
-            double* const element = turned_by(times[k], turned.data() + k * square);
-            flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n, by_coefficients + b * all.coefficients, element,
-                                       of_groups + b * square);
-        }
+    // Of what is held of a substep: the slots of its flows and of the step between them, and a state and an element there.
+    int64_t slot_of_flow(int64_t flow, int64_t side) const { return side ? 2 * int64_t(forces.size()) - flow : flow; }
+    int64_t slot_of_step() const { return int64_t(forces.size()); }
+    double* state_in(double* held, int64_t slot, int64_t b) const { return held + slot * count * (n + square) + b * n; }
+    double* element_in(double* held, int64_t slot, int64_t b) const {
+        return held + slot * count * (n + square) + count * n + b * square;
     }
 
     std::vector<double>& units() {
@@ -291,6 +280,11 @@ class ForcedSteps {
     // Take a step of the inner loop. `started` are the elements with which it starts, and `groups`, if not shifted, those
     // after it; if shifted `ends` are those after it.
     void take(const Substep& one, double t, double h) {
+        if (const auto& program = programs[one.loop]) {
+            program->take(x.data(), t, h, true);
+            if (int64_t(program->status) != DONE) throw NotDifferentiated();
+            return;
+        }
         started = shifted ? units() : groups;
         if (shifted) ends = started;
         InnerStep& step = *inner[one.loop];

@@ -1,6 +1,7 @@
 // The members of a call with derivatives, as lanes or one after the other, and the numbers in the arrays of their run.
 #pragma once
 
+#include <deque>
 #include <memory>
 #include <type_traits>
 
@@ -9,29 +10,48 @@
 
 namespace coadjoint {
 
-// Call `run(together, constants, first, count, interrupts)` for the members first to last - 1, `lanes` of them at a time or
-// each alone; return zero or the outcome.
-template <int64_t lanes, class Run>
-int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, int64_t last, InterruptCheck& interrupts,
-                     Run run) {
-    return outcome_of([&]() -> int64_t {
-        while (first < last && (tables.stride || (size <= WIDEST && last - first >= MIN_LANES))) {
-            const int64_t count = std::min<int64_t>(lanes, last - first);
-            if (tables.stride)
-                run(std::true_type(), LaneConstants{tables.stride, first}, first, count, interrupts);
-            else
-                run(std::true_type(), SharedConstants{}, first, count, interrupts);
-            first += count;
-        }
-        for (; first < last; ++first) run(std::false_type(), SharedConstants{}, first, int64_t(1), interrupts);
-        return 0;
-    });
-}
-
 // What a loop keeps from one call inside of another loop to the next.
 struct Kept {
     virtual ~Kept() = default;
 };
+
+// That of blocks of members, and of all members that are alone.
+struct KeptBlocks final : Kept {
+    std::deque<std::unique_ptr<Kept>> blocks;
+};
+
+// Run `Steps<together, C>`, made for some tables, constants and a run, for the members first to last - 1, `lanes` of them at
+// a time or each alone; return zero or the outcome.
+template <int64_t lanes, template <bool, class> class Steps, class Run>
+int64_t run_in_lanes(const FlowCotangents& tables, const Run& run, int64_t first, int64_t last, InterruptCheck& interrupts,
+                     std::unique_ptr<Kept>* kept) {
+    return outcome_of([&]() -> int64_t {
+        if (kept && !*kept) kept->reset(new KeptBlocks);
+        size_t block = 0;
+        const auto take = [&](auto together, const auto& constants, int64_t count) {
+            typedef Steps<together(), std::decay_t<decltype(constants)>> Own;
+            std::unique_ptr<Kept> own;
+            if (kept) {
+                auto& blocks = static_cast<KeptBlocks&>(**kept).blocks;
+                blocks.resize(std::max(blocks.size(), block + 1));
+                own.swap(blocks[block]);
+            }
+            if (!own) own.reset(new Own(tables, constants, run, count, interrupts));
+            static_cast<Own&>(*own).take(run, first);
+            if (kept) own.swap(static_cast<KeptBlocks&>(**kept).blocks[block]);
+        };
+        while (first < last && (tables.stride || (run.size <= WIDEST && last - first >= MIN_LANES))) {
+            const int64_t count = std::min<int64_t>(lanes, last - first);
+            if (tables.stride)
+                take(std::true_type(), LaneConstants{tables.stride, first}, count);
+            else
+                take(std::true_type(), SharedConstants{}, count);
+            first += count, ++block;
+        }
+        for (; first < last; ++first) take(std::false_type(), SharedConstants{}, 1);
+        return 0;
+    });
+}
 
 // Call a loop, with what it keeps if it keeps anything.
 template <class Tables, class Run, class Carry>

@@ -27,8 +27,14 @@ class Exponential {
     // The rotation of a spin by w = turn v: y = x + first A x + second A A x with A x = x cross w, and the mean of its part
     // until now, 1 + second A + third A A, by which a change of w turns y.
     struct Turning {
-        double w[3], first, second, third;
+        double w[3], first, second, third, by;  // w is `by` v
     };
+
+    template <class Visit>
+    INLINE void each_turning(const Visit& visit) const {
+        const auto& at = spins->coordinate;
+        for (int64_t s = 0; s < spins->size(); ++s) visit(turnings[s], at[0][s], at[1][s], at[2][s]);
+    }
 
     bool rotate(const double* x) {
         turnings.resize(spins->size());
@@ -37,6 +43,7 @@ class Exponential {
         for (int64_t s = 0; s < spins->size(); ++s) {
             Turning& one = turnings[s];
             double from[3], across[3], back[3];
+            one.by = spins->turn[s];
             for (int a = 0; a < 3; ++a) {
                 one.w[a] = spins->turn[s] * v[spins->coordinate[a][s]];
                 from[a] = x[spins->coordinate[a][s]];
@@ -99,7 +106,7 @@ class Exponential {
   public:
     // Replace the tangent of x by that of y, where v has the tangent dv.
     void push(const double* dv, double* dx) {
-        if (spins) return push_rotations(dv, dx);
+        if (spins) return push_state(dx), push_direction(dv, dx);
         std::vector<double> &change = one, &next = two;
         for (int64_t s = 0; s < substeps; ++s) {
             std::copy_n(dx, n, change.data());
@@ -115,8 +122,8 @@ class Exponential {
 
     // Replace the cotangent of y by that of x, and set that of v.
     void pull(double* row, double* of_v) {
+        if (spins) return pull_direction(row, of_v), pull_state(row);
         std::fill_n(of_v, n, 0.0);
-        if (spins) return pull_rotations(row, of_v);
         for (int64_t s = substeps; s-- > 0;) {
             // The cotangents of the terms, from the last one on.
             std::vector<double>& carried = two;
@@ -159,6 +166,43 @@ class Exponential {
         });
     }
 
+    // Of spins: `push` with no change of v, then what is added by it; the cotangent of v, then that of x alone.
+    void push_state(double* dx) const {
+        each_turning([&](const Turning& one, int64_t i, int64_t j, int64_t k) {
+            double change[] = {dx[i], dx[j], dx[k]};
+            turn(one.w, 1.0, one.first, one.second, change);
+            dx[i] = change[0], dx[j] = change[1], dx[k] = change[2];
+        });
+    }
+
+    void push_direction(const double* dv, double* dx) const {
+        each_turning([&](const Turning& one, int64_t i, int64_t j, int64_t k) {
+            double about[] = {one.by * dv[i], one.by * dv[j], one.by * dv[k]}, across[3];
+            const double y[] = {end[i], end[j], end[k]};
+            turn(one.w, 1.0, one.second, one.third, about);
+            cross_of(y, about, across);
+            dx[i] += across[0], dx[j] += across[1], dx[k] += across[2];
+        });
+    }
+
+    void pull_direction(const double* row, double* of_v) const {
+        each_turning([&](const Turning& one, int64_t i, int64_t j, int64_t k) {
+            const double of_end[] = {row[i], row[j], row[k]}, y[] = {end[i], end[j], end[k]};
+            double about[3];
+            cross_of(of_end, y, about);
+            turn(one.w, -1.0, one.second, one.third, about);
+            of_v[i] = one.by * about[0], of_v[j] = one.by * about[1], of_v[k] = one.by * about[2];
+        });
+    }
+
+    void pull_state(double* row) const {
+        each_turning([&](const Turning& one, int64_t i, int64_t j, int64_t k) {
+            double of_end[] = {row[i], row[j], row[k]};
+            turn(one.w, -1.0, one.first, one.second, of_end);
+            row[i] = of_end[0], row[j] = of_end[1], row[k] = of_end[2];
+        });
+    }
+
   private:
     static constexpr double LEAST_TERM = 0x1p-60;  // of a term that is left out, relative to x
     static constexpr double SMALL_SQUARE = 0x1p-6;  // squares of angles up to this one have a series
@@ -188,36 +232,6 @@ class Exponential {
         for (int a = 0; a < 3; ++a) u[a] += fma(sign * first, across[a], second * back[a]);
     }
 
-    void push_rotations(const double* dv, double* dx) const {
-        for (int64_t s = 0; s < spins->size(); ++s) {
-            const Turning& one = turnings[s];
-            double change[3], about[3], y[3], across[3];
-            for (int a = 0; a < 3; ++a) {
-                const int64_t i = spins->coordinate[a][s];
-                change[a] = dx[i], about[a] = spins->turn[s] * dv[i], y[a] = end[i];
-            }
-            turn(one.w, 1.0, one.first, one.second, change);
-            turn(one.w, 1.0, one.second, one.third, about);
-            cross_of(y, about, across);
-            for (int a = 0; a < 3; ++a) dx[spins->coordinate[a][s]] = change[a] + across[a];
-        }
-    }
-
-    void pull_rotations(double* row, double* of_v) const {
-        for (int64_t s = 0; s < spins->size(); ++s) {
-            const Turning& one = turnings[s];
-            double of_end[3], about[3], y[3];
-            for (int a = 0; a < 3; ++a) of_end[a] = row[spins->coordinate[a][s]], y[a] = end[spins->coordinate[a][s]];
-            cross_of(of_end, y, about);
-            turn(one.w, -1.0, one.second, one.third, about);
-            turn(one.w, -1.0, one.first, one.second, of_end);
-            for (int a = 0; a < 3; ++a) {
-                row[spins->coordinate[a][s]] = of_end[a];
-                of_v[spins->coordinate[a][s]] = spins->turn[s] * about[a];
-            }
-        }
-    }
-
     double* term(int64_t s, int64_t k) { return terms.data() + (s * degree + k) * n; }
 
     void move(const double* w, const double* x, double factor, double* out) const {
@@ -233,16 +247,19 @@ class Exponential {
     }
 };
 
+constexpr double SETTLED = 0x1p-50;  // relative change that is round-off
+
 // Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
-// near round-off no longer fall; false if a step of it is, or if it does not end. Round-off is relative to the numbers and `least`.
+// near round-off no longer fall. Return the last change relative to their size; negative if a step is false or there is no end.
+// The size is that of the numbers and `least`.
 template <class Improve>
-bool iterate(double* now, int64_t count, std::vector<double>& before, const Improve& improve, double least = 0.0) {
+double iterate(double* now, int64_t count, std::vector<double>& before, const Improve& improve, double least = 0.0) {
     constexpr int64_t MOST_ITERATIONS = 192;
-    constexpr double SETTLED = 0x1p-50, NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
+    constexpr double NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
     double last = std::numeric_limits<double>::infinity(), fall_before = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
         before.assign(now, now + count);
-        if (!improve()) return false;
+        if (!improve()) return -1.0;
         double change = 0.0, size = least;
         for (int64_t i = 0; i < count; ++i) {
             change += absolute(now[i] - before[i]);
@@ -251,14 +268,14 @@ bool iterate(double* now, int64_t count, std::vector<double>& before, const Impr
         // The slower of the last two falls, so that a part that falls fast does not hide another one.
         const double fall = k > 0 ? change / last : 1.0, falls = std::max(fall, fall_before);
         if (!(change > SETTLED * size) || (falls <= FAST && change * falls <= SETTLED * size) ||
-            (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) return true;
+            (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) return change > 0.0 ? change / size : 0.0;
         last = change, fall_before = fall;
     }
-    return false;
+    return -1.0;
 }
 
 template <class Improve>
-bool iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+double iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
     return iterate(now.data(), int64_t(now.size()), before, improve);
 }
 
@@ -303,10 +320,12 @@ class OrbitDerivative {
                     if (adds) first[i] += rate(i) * driven[i] * of_length[i] + tau * along[2 * n + i] * gradients[i];
                 }
                 std::fill(dv.begin(), dv.end(), 0.0);
-                const bool solved = iterate(dv, before, [&] {
-                    std::copy_n(dx, n, dm.data());
+                std::copy_n(dx, n, row.data());
+                if (of_spins) half.push_state(row.data());
+                const double change = iterate(dv, before, [&] {
+                    dm = row;
                     for (double& entry : dv) entry *= 0.5;
-                    half.push(dv.data(), dm.data());
+                    of_spins ? half.push_direction(dv.data(), dm.data()) : half.push(dv.data(), dm.data());
                     hessian(t + 0.5 * tau, dm.data(), dg.data());
                     std::fill(other.begin(), other.end(), 0.0);
                     half.add_move(gradients.data(), dm.data(), tau, other.data());
@@ -315,7 +334,7 @@ class OrbitDerivative {
                     for (int64_t i = 0; i < n; ++i) dv[i] += first[i];
                     return true;
                 });
-                if (!solved) return false;
+                if (change < 0.0) return false;
                 one.push(dv.data(), dx);
             }
         }
@@ -339,13 +358,14 @@ class OrbitDerivative {
                 continue;
             }
             first = of_v;
-            const bool solved = iterate(of_v, before, [&] {
+            const double change = iterate(of_v, before, [&] {
                 of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
-                half.pull(through.data(), row.data());
+                of_spins ? half.pull_direction(through.data(), row.data()) : half.pull(through.data(), row.data());
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
                 return true;
             });
-            if (!solved) return false;
+            if (change < 0.0) return false;
+            if (of_spins) half.pull_state(through.data());
             // The last `through` is as accurate as `of_v`, which follows from it.
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
             each_added(t + 0.5 * tau, [&](int64_t index, int64_t coordinate, double factor) {
@@ -395,8 +415,14 @@ class OrbitDerivative {
         std::copy_n(x, n, now.data());
         if (random && !shake(now, t, tau, 0, member)) return false;
         damping = int64_t(exponentials.size());
-        std::copy_n(now.data(), n, middle.data());
-        if (!random) find_middle(x, end);
+        middle = now;
+        if (!random || of_spins) {
+            // The end of the damping: that of the flow, through the second half of the noise backward.
+            middle.assign(end, end + n);
+            const auto back = [&] { return half.of(v.data(), -1.0, middle.data()) && (middle = half.end, true); };
+            if (random && !each_rotation(t, tau, 1, member, true, back)) return false;
+            find_middle(now.data(), middle.data());
+        }
         if (!settle(now, t, tau)) return false;
         return !random || shake(now, t, tau, 1, member);
     }
@@ -444,11 +470,22 @@ class OrbitDerivative {
 
     // As `Force::shake`.
     bool shake(std::vector<double>& x, double t, double tau, int half_of_noise, int64_t member) {
+        return each_rotation(t, tau, half_of_noise, member, false, [&] {
+            Exponential& one = next();
+            if (!one.of(v.data(), 1.0, x.data())) return false;
+            x = one.end;
+            return true;
+        });
+    }
+
+    // Call `take` with each v of a half of the noise, the last one first if `undone`, until it returns false.
+    template <class Take>
+    bool each_rotation(double t, double tau, int half_of_noise, int64_t member, bool undone, const Take& take) {
         const double size = force.amplitude[0] * std::sqrt(0.5 * tau);
         DeviateStream(uint64_t(force.seed), uint64_t(force.stream + member), t, uint64_t(half_of_noise))
             .fill(n, deviates.data());
         for (int64_t k = 0; k < force.sets; ++k) {
-            const int64_t set = half_of_noise ? force.sets - 1 - k : k;
+            const int64_t set = (half_of_noise == 1) != undone ? force.sets - 1 - k : k;
             std::fill(v.begin(), v.end(), 0.0);
             for (int64_t e = force.begin[set]; e < force.begin[set + 1]; ++e) {
                 const int64_t a = force.direction[e];
@@ -459,24 +496,22 @@ class OrbitDerivative {
                     v[a] = force.aim[force.shape == DIAGONAL ? a : 0] * length;
             }
             for (int64_t i = 0; adds && i < n; ++i) v[i] *= std::sqrt(inverse[i]);
-            Exponential& one = next();
-            if (!one.of(v.data(), 1.0, x.data())) return false;
-            x = one.end;
+            if (!take()) return false;
         }
         return true;
     }
 
     // As `Force::settle`, from a first midpoint on, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
-        const bool found = iterate(middle, before, [&] {
+        const double change = iterate(middle, before, [&] {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
             direction_of(other.data(), gradients.data(), tau, v.data());
             if (!half.of(v.data(), 0.5, x.data())) return false;
             middle = half.end;
             return true;
         });
-        if (!found) return false;
-        slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
+        if (change < 0.0) return false;
+        if (!(change <= SETTLED)) slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
         for (int64_t i = 0; i < n; ++i) driven[i] = inverse[i] * other[i];
         Exponential& whole = next();
         if (!whole.of(v.data(), 1.0, x.data())) return false;
