@@ -244,7 +244,9 @@ def fit(
         f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees of "
         "freedom, and which may be far from the minimum,"
     )
-    _check_determined(J, problem, place if contradicts else "at the minimum", "give a better guess, or " * contradicts)
+    inverse = contradicts and _are_inverse(ready, x0, unknown, problem, observe)
+    advice = INVERSES if inverse else "give a better guess, or omit" if contradicts else "omit"
+    _check_determined(J, problem, place if contradicts else "at the minimum", advice)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
@@ -258,7 +260,7 @@ def fit(
             UserWarning,
         )
     elif contradicts:
-        if _are_inverse(ready, x0, unknown, problem, observe):
+        if inverse:
             warn_caller(INVERSES, UserWarning)
         else:
             warn_caller(
@@ -425,7 +427,7 @@ def _weights(
     return weights
 
 
-def _check_determined(J: Floats, problem: FitProblem, place: str, advice: str = "") -> None:
+def _check_determined(J: Floats, problem: FitProblem, place: str, advice: str = "omit") -> None:
     """Raise ValueError if the Jacobian at a place has directions without influence on the measurements."""
     from scipy.linalg import qr
 
@@ -446,8 +448,8 @@ def _check_determined(J: Floats, problem: FitProblem, place: str, advice: str = 
         omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
         reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
         raise ValueError(
-            f"{place} the measurements do not determine all unknown entries of {names}{reason}; {advice}omit, for "
-            f"instance, {omitted}"
+            f"{place} the measurements do not determine all unknown entries of {names}{reason}; {advice}"
+            + f", for instance, {omitted}" * (advice != INVERSES)
         )
 
 

@@ -23,6 +23,7 @@ from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number, array_of, full_precision, roundoff
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.step_derivatives import LinearizedStep, Stages
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer
@@ -106,6 +107,7 @@ class CommutatorFree(CompiledStepMethod):
 
     explicit = True
     symmetric = False
+    by_stages = True  # type: ignore[assignment]
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "an exponential in the step is too large for its series"}
 
     def __post_init__(self) -> None:
@@ -148,20 +150,30 @@ class CommutatorFree(CompiledStepMethod):
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""
         orbit = orbit_of(system)
         if not system.has_matrices:
-            return self._advanced(orbit, x, t, h, None)[0]
+            return self._advanced(orbit, x, t, h, None)[1][0]
         matrices = cast(MatrixSystem, system)
-        end = self._advanced(orbit, matrices.matrices(x), t, h, None)[0]
+        end = self._advanced(orbit, matrices.matrices(x), t, h, None)[1][0]
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and the derivative of its series; for matrices, that of the projection on the algebra."""
         orbit = orbit_of(system)
         if not system.has_matrices:
-            return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
+            return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))[1]
         matrices = cast(MatrixSystem, system)
         units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
-        end, changes = self._advanced(orbit, matrices.matrices(x), t, h, units)
+        end, changes = self._advanced(orbit, matrices.matrices(x), t, h, units)[1]
         return matrices.to_vector(end), matrices.to_vector(changes).T
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        def stages() -> Stages:
+            # Each gradient is changed along each axis, as by a parameter, from a start that stays.
+            n, count = len(x), len(SCHEMES[self.order][0]) + 1
+            units = np.eye(count * n).reshape(count, n, -1)
+            states, (_, changes) = self._advanced(orbit_of(system), x, t, h, np.zeros((n, count * n)), by=units)
+            return [(y, changes[:, i * n : (i + 1) * n]) for i, (y, _) in enumerate(states)]
+
+        return super().linearized(system, x, t, h)._replace(stages=stages)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return "formula", except for matrices with a stream given as a function."""
@@ -170,11 +182,19 @@ class CommutatorFree(CompiledStepMethod):
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         if system.has_matrices:
             raise TypeError(f"a step of {self} on matrices is not known as a power series in exact numbers")
-        return self._advanced(orbit_of(system), x, 0 * h, h, None, type(h).count)[0]
+        return self._advanced(orbit_of(system), x, 0 * h, h, None, type(h).count)[1][0]
 
     def _advanced(
-        self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
-    ) -> tuple[NDArray[Any], Any]:
+        self,
+        orbit: VectorOrbit | MatrixOrbit,
+        x: Any,
+        t: Any,
+        h: Any,
+        tangent: Any,
+        degree: int | None = None,
+        by: Any = (0,) * 4,
+    ) -> tuple[list[Any], tuple[NDArray[Any], Any]]:
+        """Return stages and the end, with their tangents; gradients also change `by` given amounts."""
         (stages, out), point, h = SCHEMES[self.order], np.asarray(x), full_precision(h)
         number: Number = float if point.dtype != object else type(point[0])
         states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
@@ -187,12 +207,12 @@ class CommutatorFree(CompiledStepMethod):
                 )
             state, change = states[i]
             time = t + h * number(node.numerator) / node.denominator
-            gradient_change = None if change is None else orbit.gradient_change(state, change, time)
+            gradient_change = None if change is None else orbit.gradient_change(state, change, time) + by[i]
             gradients.append((orbit.gradient(state, time), gradient_change))
         end = states[0]
         for combination in out:
             end = apply_exponential(orbit, end, combined(combination, gradients, h), number, degree)
-        return end
+        return states, end
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         stages, out = SCHEMES[self.order]

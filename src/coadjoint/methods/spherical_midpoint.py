@@ -87,8 +87,9 @@ class SphericalMidpoint(CompiledStepMethod):
         return end, P
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
-        end, P, stage = self._differentiated(system, x, t, h)
-        return dense_step(end, P)._replace(stages=(stage,))
+        end, P, (y, by_field) = self._differentiated(system, x, t, h)
+        stage = y, by_field @ (system.sign * system.structure_matrix(y))
+        return dense_step(end, P)._replace(stages=lambda: [stage])
 
     def _differentiated(
         self, system: System, x: Any, t: float, h: float

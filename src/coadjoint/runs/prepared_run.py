@@ -498,13 +498,13 @@ class PreparedRun(Immutable):
         splitting are functions of coordinates. If the forms of the parts depend on the parameter, the change of the
         energy is one more part of the splitting of size zero, "added part": the derivative of a scheme of the same
         order, which agrees with that of the motion to this order. Runge-Kutta methods are always "exact". The steps of
-        other schemes are differentiated in Python, one by one: by the state through `Method.tangent`, and by parameters
-        through central differences of order 8, with about twelve digits, "differences". So are flows of forces without
-        formulas, by their parameters, with the noise of the run; these have names such as "Torque.arguments.gain". At a
-        parameter where two orders of the parts are equally good, such as the moments (1, 2, 3, 4) of ``so_n_body``, the
-        computed map has no derivative: "differences" mix those of both orders, which differ by the error of the scheme.
-
-        The lengths of steps that a scheme chooses are fixed. Crossings of events are differentiated with their times,
+        others are differentiated in Python, one by one: by the state through `Method.tangent`, by parameters through
+        their stages ("exact"; `SphericalMidpoint`, `CommutatorFree` without attitudes), or else by central differences
+        of order 8, with about twelve digits, "differences". So are flows of forces without formulas, by their
+        parameters, with the noise of the run; these have names such as "Torque.arguments.gain". At a parameter where
+        two orders of the parts are equally good, such as the moments (1, 2, 3, 4) of ``so_n_body``, the computed map
+        has no derivative: "differences" mix those of both orders, which differ by the error of the scheme. Lengths of
+        steps that a scheme chooses are fixed. Crossings of events are differentiated with their times,
         in `tangents.events`; the point at which an event ends a run moves with its crossing.
 
         Examples

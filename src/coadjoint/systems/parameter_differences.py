@@ -62,13 +62,17 @@ class NearbySystems:
         """Return the system with the unchanged entry."""
         return self._moved(0.0)
 
-    def nodes(self) -> tuple[float, list[Any]] | None:
-        """Return the unit of the nodes 1, -1, 2, ..., -4 and the systems there; None if a value is refused."""
+    def nodes(self, agreeing: Callable[[Any], Floats] | None = None) -> tuple[float, list[Any]] | None:
+        """Return the unit of the nodes 1, -1, 2, ..., -4 and the systems there; None if a value is refused.
+
+        They are as near as values of a function of the system need, if `agreeing`.
+        """
         try:
+            distance = self._distance if agreeing is None else self.samples(agreeing, agreeing(self.centre()))[0]
             with warnings.catch_warnings():  # of values that the user did not give
                 warnings.simplefilter("ignore")
-                by = (self._distance * NODES).tolist()
-                return self._distance, [self._moved(sign * shift) for shift in by for sign in (1.0, -1.0)]
+                by = (distance * NODES).tolist()
+                return distance, [self._moved(sign * shift) for shift in by for sign in (1.0, -1.0)]
         except (TypeError, ValueError):
             return None
 

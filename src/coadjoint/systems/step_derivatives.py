@@ -57,17 +57,20 @@ def _difference(
     return np.asarray((ahead - behind) / (2.0 * h))
 
 
+Stages = list[tuple[Floats, Floats]]
+
+
 class LinearizedStep(NamedTuple):
     """A step and its derivative: `tangents` maps (k, n) forward, `cotangent` (n,) back; `by` says how.
 
-    Of `stages`, pairs of a state y and a matrix (n, n), the matrix takes a change of the field at y to that of the end.
+    Of `stages()`, pairs of a state y and a matrix (n, n), the matrix takes a change of grad H at y to that of the end.
     """
 
     end: Floats
     tangents: Callable[[Floats], Floats]
     cotangent: Callable[[Floats], Floats]
     by: str = "formula"
-    stages: tuple[tuple[Floats, Floats], ...] = ()
+    stages: Callable[[], Stages] = list
 
 
 def dense_step(end: Floats, derivative: Floats, by: str = "formula") -> LinearizedStep:
@@ -92,7 +95,10 @@ def joined_steps(steps: Sequence[LinearizedStep]) -> LinearizedStep:
             row = step.cotangent(row)
         return row
 
-    stages: list[tuple[Floats, Floats]] = []
-    for step in steps:
-        stages = [(y, np.asarray(step.tangents(S.T).T)) for y, S in stages] + [*step.stages]
-    return LinearizedStep(steps[-1].end, tangents, cotangent, stages=tuple(stages))
+    def stages() -> Stages:
+        found: Stages = []
+        for step in steps:
+            found = [(y, np.asarray(step.tangents(S.T).T)) for y, S in found] + step.stages()
+        return found
+
+    return LinearizedStep(steps[-1].end, tangents, cotangent, stages=stages)

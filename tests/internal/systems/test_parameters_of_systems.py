@@ -265,3 +265,26 @@ def test_members_of_a_batch_may_have_derivatives_of_other_monomials(registering,
     for m, system in enumerate(systems):
         alone, own = co.prepare(system, method, 0.125).vjp(x0, (0, 1))
         assert found[m] == own(alone.x**2)["p"] != 0.0
+
+
+def test_a_stream_with_a_kink_beside_a_parameter_is_differentiated_nearby(registering):
+    """The kink is within the nodes of the first differences: of the runs themselves, and of a decay along the orbit."""
+    first, second = np.array([[1.0, 0.5, 0.7], [0.5, 0.3, 0.2], [0.7, 0.2, 1.5]]), np.eye(3)[::-1] + 0.5
+
+    @co.systems.ready_made
+    def kinked(p):
+        weights = co.systems.Weights(first + np.maximum(p, 0.306) * second)
+        return co.MatrixSystem(co.MatrixAlgebra("u", 3), weights, name="kinked", parameters={"p": p})
+
+    system = kinked(0.312).with_forces(co.forces.SelectiveDecay(0.4))
+    rng = np.random.default_rng(4)
+    x0 = system.unforced.algebra.projected(rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3)))
+
+    def end(p):
+        moved = kinked(p).with_forces(co.forces.SelectiveDecay(0.4))
+        return co.integrate(moved, x0, (0.5, 1.0), 0.125, co.IsospectralGauss()).x[-1]
+
+    _, tangents = co.prepare(system, co.IsospectralGauss(), 0.125).jvp(x0, (0.5, 1.0), {"p": 1.0})
+    h = 2.0**-12
+    expected = (8 * (end(0.312 + h) - end(0.312 - h)) - (end(0.312 + 2 * h) - end(0.312 - 2 * h))) / (12 * h)
+    np.testing.assert_allclose(tangents.x[-1], expected, rtol=0, atol=1e-9 * np.abs(expected).max())

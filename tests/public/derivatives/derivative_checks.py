@@ -81,8 +81,8 @@ def assert_derivatives(
     gradient = pulled(pullback, weights)
     dx0 = rng.standard_normal(np.shape(x0)) if draw is None else draw(rng)
     directions = {"x0": dx0} | {name: rng.standard_normal(value.shape) for name, value in ready.parameters.items()}
-    # Metrics of dampings along orbits stay symmetric.
-    directions |= {k: v + v.T for k, v in directions.items() if k.endswith("metric") and v.ndim == 2}
+    # Metrics of dampings along orbits, and of energies, stay symmetric.
+    directions |= {k: v + v.T for k, v in directions.items() if k.endswith(("metric", "M")) and v.ndim == 2}
     of_inputs = {name: rng.standard_normal(np.shape(value)) for name, value in (values or {}).items()}
 
     def products(names: Any) -> np.ndarray:

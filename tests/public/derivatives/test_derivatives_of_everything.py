@@ -111,6 +111,49 @@ def test_gradients_of_long_steps_on_the_orbit(force):
     assert any(name.endswith(".alpha") for name in gradient)
 
 
+FULL = np.array([[1.0, 0.3, -0.2, 0.1], [0.3, 0.5, 0.4, 0.0], [-0.2, 0.4, 1.5, 0.25], [0.1, 0.0, 0.25, 0.75]])
+NOT_UNIMODULAR = own(co.algebras.get("A4,9", b=0.5), FULL, np.linspace(-0.3, 0.4, 4), sign=1)
+
+
+def cubic(changed):
+    coefficients = dict(zip([(0, 1, 1), (1, 0, 2)], changed.get("coefficients", (-0.4, 0.7)), strict=True))
+    return co.LiePoissonSystem(co.algebras.so(3), co.Polynomial(coefficients), sign=-1)
+
+
+def driven(changed):
+    """A quantum spin in a field that turns, with a parameter of its anisotropy."""
+    ion = co.spins.crystal(lattice=(3, 3, 8, 90, 90, 90), sites={"Ni": (0, 0, 0)})
+    model = co.systems.spins(ion, (1, 1, 1), spin=1, mode="SU(N)", periodic=False)
+    field = model.field(lambda t: np.array([np.cos(3.0 * t), np.sin(3.0 * t), 0.3]))
+    return field.single_ion("Ni", {"B20": float(changed.get("B20 Ni 0", -0.3))})
+
+
+BY_STAGES = {
+    "backward": (NOT_UNIMODULAR, co.CommutatorFree(4), -3),
+    "third order": (NOT_UNIMODULAR, co.CommutatorFree(3), 2),
+    "third degree": (cubic, co.CommutatorFree(2), 3),
+    "driven": (driven, co.CommutatorFree(4), -3),
+    "forces": (forced(driven, (F.LinearDamping, {"rate": 0.1, "toward": 0.0})), co.CommutatorFree(3), 3),
+    "noise": (forced(cubic, (F.HeatBath, {"alpha": 0.3, "temperature": 0.2, "seed": 5})), co.CommutatorFree(4), 3),
+}
+
+
+@pytest.mark.parametrize("name", BY_STAGES)
+def test_derivatives_by_the_stages_of_commutator_free_steps(name):
+    """Against runs of other systems, and by entries of the parameters, which group elements need."""
+    build, method, steps = BY_STAGES[name]
+    x0, span = 0.3 + 0.4 * np.cos(1.0 + np.arange(build({}).dim)), (0.5, 0.5 + steps * H)
+    gradient = assert_derivatives(build, method, x0, span, H)
+    by_energy = {one for one in gradient.rule if "." not in one}
+    assert by_energy and {gradient.rule[one] for one in by_energy} == {"exact"}
+    ready = [co.prepare(build({}), method, H, attitude=kind) for kind in (False, "coadjoint")]
+    runs = [one.vjp(x0, span) for one in ready]
+    first, second = (pullback(np.cos(sol.x)) for sol, pullback in runs)
+    assert {second.rule[one] for one in by_energy} == {"differences"}
+    for one in by_energy:
+        np.testing.assert_allclose(first[one], second[one], rtol=0, atol=2.0**-36)
+
+
 class Spring(co.forces.Force):
     """A force of the user without formula, parameters and complex numbers."""
 

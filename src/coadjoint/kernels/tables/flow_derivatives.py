@@ -14,6 +14,7 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.compiled import addresses_by_coefficients, addresses_of, as_structure
 from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.forces import compiled_flow, flow_table, law_of_flow
+from coadjoint.kernels.tables.steps import stream_numbers
 from coadjoint.program.added_part import terms_of
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.program.term_table import Terms, TermTable
@@ -269,7 +270,10 @@ def _on_orbit(
 
 def _moved_flows(system: Any, j: int, entry: Any, order: int) -> tuple[float, list[Any]] | None:
     """Return a distance and the tables of the flow j of systems with a moved entry; None without some of them."""
-    nodes, own = entry.nearby.nodes(), flow_table(system, j, order)
+    own = flow_table(system, j, order)
+    # Gradients of a stream are differentiated in the kernels, and flows with a test of what they find.
+    of_stream = own.kind == codes("ForceKind")["SELECTIVE_DECAY"] and system.has_matrices
+    nodes = entry.nearby.nodes((lambda one: stream_numbers(one.unforced)) if of_stream else None)
     if nodes is None:
         return None
     found = [compiled_flow(one, j, order) for one in nodes[1]]

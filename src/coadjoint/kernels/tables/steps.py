@@ -272,9 +272,9 @@ class StreamSlope(NamedTuple):
 
 def stream_slopes(system: Any, nearby: Sequence[NearbySystems]) -> list[StreamSlope]:
     """Return derivatives of the stream by entries of parameters, coefficients by number, as sums of streams."""
-    here, constants, found = _stream_numbers(system), system.dim, list[StreamSlope]()
+    here, constants, found = stream_numbers(system), system.dim, list[StreamSlope]()
     for coefficient, one in enumerate(nearby):
-        distance, plus, minus = one.samples(_stream_numbers, here)
+        distance, plus, minus = one.samples(stream_numbers, here)
         weights, numbers = np.concatenate([WEIGHTS, -WEIGHTS]) / distance, np.concatenate([plus, minus])
         if (numbers[:, constants:] == numbers[0, constants:]).all():
             only_constant = np.zeros(numbers.shape[1])
@@ -284,8 +284,8 @@ def stream_slopes(system: Any, nearby: Sequence[NearbySystems]) -> list[StreamSl
     return found
 
 
-def _stream_numbers(system: Any) -> NDArray[np.float64]:
-    """Return the numbers of a stream with a constant, which may be zero."""
+def stream_numbers(system: Any) -> NDArray[np.float64]:
+    """Return the numbers of the stream of a system with a constant, which may be zero."""
     numbers = np.array(stream_tables(system)[1])
     return numbers if system.linear is not None else np.concatenate([np.zeros(system.dim), numbers])
 

@@ -229,7 +229,7 @@ class Method(Abstract):
 
     @property
     def by_stages(self) -> bool:
-        """Whether `linearized` has the stages by which steps are differentiated by parameters of the field."""
+        """Whether `linearized` has the stages by which steps of vectors are differentiated by parameters of H."""
         return False
 
     def differentiates(self, system: System) -> bool:

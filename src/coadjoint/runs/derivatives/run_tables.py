@@ -176,7 +176,7 @@ def _of_scheme(
         # Of the whole step, and of the last other one.
         return tables._replace(tables_at=lru_cache(2)(lambda step: as_structure(tables.tables_at(step))))
 
-    exact = names if scheme.by_stages and representation is None else ()
+    exact = names if scheme.by_stages and representation is None and not system.has_matrices else ()
     nearby = nearby_parameters(system, {name: run.parameters[name] for name in names if name not in exact})
     by_stages = [run.energy(name) for name in exact]
     sizes = {name: run.parameters[name].value.size for name in names}

@@ -190,15 +190,10 @@ class StepwiseDerivatives:
         rows, of_element = differences(self._nearby, after), differences(self._nearby, turned)
         return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
 
-    def _fields(self, step: LinearizedStep) -> list[tuple[Floats, Floats]]:
-        """Return the stages of a step, with the matrix from a change of the gradient of H there to that of the end."""
-        J = self._system.structure_matrix
-        return [(y, self._system.sign * S @ J(y)) for y, S in step.stages] if self._exact else []
-
     def _along(self, step: LinearizedStep, directions: Floats) -> Floats:
         """Return the changes (k, n) of the end of a step for directions (k, entries) of the first parameters."""
         total = np.zeros((len(directions), len(step.end)))
-        for y, matrix in self._fields(step):
+        for y, matrix in step.stages() if self._exact else ():
             start = 0
             for energy in self._energies:
                 own = directions[:, start : start + energy.size]
@@ -209,7 +204,7 @@ class StepwiseDerivatives:
     def _pulled(self, step: LinearizedStep, cotangent: Floats) -> Floats:
         """Return the cotangents of the first parameters for that of the end of a step."""
         total = np.zeros(self._exact)
-        for y, matrix in self._fields(step):
+        for y, matrix in step.stages() if self._exact else ():
             total += np.concatenate([energy.along(y, cotangent @ matrix) for energy in self._energies])
         return total
 

@@ -7,6 +7,13 @@
 
 namespace coadjoint {
 
+// Nodes 1, -1, 2, ..., -4 of differences of order eight, and their weights.
+constexpr int64_t NODES = 8;
+constexpr double difference_weight(int64_t node) {
+    constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
+    return node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+}
+
 class DecayDerivative {
   public:
     DecayDerivative(const ForceTable& force, const Field& field, const ForceDerivatives& table)
@@ -67,10 +74,7 @@ class DecayDerivative {
     const int64_t n;
     Krylov krylov;
     HessianWorkspace<double> seconds, of_added;
-    // With moved parameters of the stream of matrices.
-    static constexpr int64_t NODES = 8;
-    static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
-    std::vector<std::unique_ptr<SelectiveDecay>> nearby;
+    std::vector<std::unique_ptr<SelectiveDecay>> nearby;  // with moved parameters of the stream of matrices
     double c = 0.0, middle = 0.0;
     std::vector<double> m, u, k, rest, change, slope, a, b, image;  // `k` is [u, m], and `rest` [u, k]
 
@@ -151,8 +155,8 @@ class DecayDerivative {
     bool each_moved(const Visit& visit) {
         for (size_t j = 0; j < nearby.size(); ++j) {
             if (!nearby[j]->gradient(m.data(), middle, image.data())) return false;
-            const int64_t k = int64_t(j) / NODES, node = int64_t(j) % NODES;
-            const double weight = (node % 2 ? -1.0 : 1.0) * WEIGHTS[node / 2] / table.distance[k];
+            const int64_t k = int64_t(j) / NODES;
+            const double weight = difference_weight(int64_t(j) % NODES) / table.distance[k];
             for (int64_t i = 0; i < n; ++i) visit(k, i, weight * image[i]);
         }
         return true;

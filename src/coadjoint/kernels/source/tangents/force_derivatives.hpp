@@ -131,13 +131,11 @@ class ForceDerivative {
 
   private:
     static constexpr MemberConstants SHARED{1, 0};
-    // Nodes on both sides, and weights, of differences of order eight.
-    static constexpr int64_t NODES = 8;
+    // Weights of the value at zero that belongs to a difference.
     static constexpr double AT_ZERO[] = {4.0 / 5.0, -2.0 / 5.0, 4.0 / 35.0, -1.0 / 70.0};
     static constexpr double SMOOTH = 0x1p-23, ROUNDING = 0x1p-49;  // part of the change and of the state by which it is off
     static constexpr double AGREEMENT = 0x1p-20;  // of tangents and differences, as for flows in Python
     static constexpr double ONE_SIDED = 0x1p-26;  // about the square root of the unit round-off: the best accuracy
-    static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
     const ForceDerivatives& table;
     Force& plain;
     const ForceTable& force;
@@ -367,7 +365,7 @@ class ForceDerivative {
         for (int64_t node = 0; node < NODES; ++node) {
             if (element) turned.assign(element, element + square);
             move(*nearby[k * NODES + node], at, x, moved, element ? turned.data() : nullptr);
-            const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            const double weight = difference_weight(node);
             for (int64_t e = 0; element && e < square; ++e) turned_by[e] = fma(weight, turned[e], turned_by[e]);
             for (int64_t i = 0; i < n; ++i) {
                 sum[i] = fma(weight, moved[i], sum[i]);
@@ -401,7 +399,7 @@ class ForceDerivative {
             Force& flow = *nearby[k * NODES + node];
             if (!modes->has_modes_of(flow.table)) return slope;
             const std::vector<Complex> there = ModeForce(flow.table).factors(at.tau);
-            const double weight = node % 2 ? -WEIGHTS[node / 2] : WEIGHTS[node / 2];
+            const double weight = difference_weight(node);
             move(flow, at, zero.data(), moved);
             for (int64_t i = 0; i < n; ++i) constant[i] += weight / table.distance[k] * moved[i];
             for (size_t e = 0; e < own.size(); ++e) {
