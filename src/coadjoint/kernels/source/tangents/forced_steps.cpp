@@ -16,11 +16,60 @@ struct InnerDerivative {
     std::unique_ptr<Kept> kept;
 
     template <class Run>
-    void operator()(Carry carry, const Run& run) {
-        const int64_t outcome = carry(tables, &run, 0, run.members, &kept);
+    void operator()(Carry carry, const Run& run, int64_t first, int64_t last) {
+        const int64_t outcome = carry(tables, &run, first, last, &kept);
         if (outcome == NO_MEMORY) throw std::bad_alloc();
         if (outcome == INTERRUPTED) throw Interrupted{};
         if (outcome) throw NotDifferentiated();
+    }
+};
+
+// The inner loops of members with the same tables, or with columns of them, and their derivatives.
+struct InnerLoops {
+    std::vector<std::unique_ptr<InnerStep>> steps;
+    std::vector<InnerDerivative> derivatives;
+
+    InnerLoops(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t members, bool shifted,
+               const LaneConstants& columns) {
+        const ForcedLayout layout(reinterpret_cast<const StepTables*>(all.forced)->whole);
+        located.reserve(layout.loops.size());
+        for (size_t k = 0; k < layout.loops.size(); ++k) {
+            std::vector<int64_t> plain(layout.loops[k], layout.loops[k] + ForcedLayout::ADDRESSES);
+            if (shifted) plain.back() = 0;
+            steps.emplace_back(new InnerStep(plain.data(), size, square, members, columns));
+            const void* tables = reinterpret_cast<const void*>(all.inner[3 * k + 2]);
+            if (columns.stride) {
+                located.push_back(*static_cast<const FlowCotangents*>(tables));
+                located.back().column = columns.first;
+                tables = &located.back();
+            }
+            derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
+                                   reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]), tables, nullptr});
+        }
+    }
+
+  private:
+    std::vector<FlowCotangents> located;  // whose columns are those of the first member on
+};
+
+// The flows and loops of one member, or of all with the same tables.
+struct MemberFlows {
+    const StepTables& tables;
+    ShiftFactor shift;
+    InnerLoops loops;
+    std::vector<std::unique_ptr<Force>> forces;
+    std::vector<std::unique_ptr<ForceDerivative>> flows;
+
+    MemberFlows(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t members)
+        : tables(*reinterpret_cast<const StepTables*>(all.forced)),
+          shift(size, square ? tables.group.size : 0, square ? all.casimirs : 0, all.factors, all.turning),
+          loops(all, size, square, square ? 1 : members, square && all.casimirs, {0, 0}) {
+        const ForcedLayout layout(tables.whole);
+        for (size_t j = 0; j < layout.forces.size(); ++j) {
+            forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
+            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,
+                                                   all));
+        }
     }
 };
 
@@ -28,25 +77,17 @@ struct InnerDerivative {
 class ForcedSteps {
   public:
     ForcedSteps(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t first, int64_t count, int64_t threads)
-        : all(all), tables(*reinterpret_cast<const StepTables*>(all.forced)), layout(tables.whole), n(size), square(square),
+        : all(all), tables_of_first(all.apart ? *reinterpret_cast<const ForcedDerivatives*>(all.members[first]) : all),
+          tables(*reinterpret_cast<const StepTables*>(tables_of_first.forced)), layout(tables.whole), n(size), square(square),
           d(square ? tables.group.size : 0), first(first), count(count), threads(threads), shifted(square && all.casimirs),
-          shift(n, d, shifted ? all.casimirs : 0, all.factors, all.turning), x(count * n), groups(count * square),
-          started(count * square), zeros(count * std::max(n, square)), status(count), states(count),
-          work(count * (16 * work_of(tables.field) + 64 * n * int64_t(1 + layout.forces.size()))) {
-        for (const int64_t* loop : layout.loops) {
-            std::vector<int64_t> plain(loop, loop + ForcedLayout::ADDRESSES);
-            if (shifted) plain.back() = 0;
-            inner.emplace_back(new InnerStep(plain.data(), n, square, square ? 1 : count));
-        }
-        for (size_t k = 0; k < layout.loops.size(); ++k)
-            derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
-                                   reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]),
-                                   reinterpret_cast<const void*>(all.inner[3 * k + 2]), nullptr});
-        for (size_t j = 0; j < layout.forces.size(); ++j) {
-            forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
-            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,
-                                                   all));
-        }
+          x(count * n), groups(count * square), started(count * square), zeros(count * std::max(n, square)), status(count),
+          states(count), work(count * (16 * work_of(tables.field) + 64 * n * int64_t(1 + layout.forces.size()))) {
+        for (int64_t b = 0; b < (all.apart ? count : 1); ++b)
+            own.emplace_back(new MemberFlows(all.apart ? *reinterpret_cast<const ForcedDerivatives*>(all.members[first + b]) : all,
+                                             n, square, all.apart ? 1 : count));
+        if (all.apart && all.stride && n <= WIDEST && count >= MIN_LANES)
+            columns.reset(new InnerLoops(all, n, square, square ? 1 : count, shifted, {all.stride, first}));
+        together = columns ? columns.get() : all.apart ? nullptr : &own[0]->loops;
     }
 
     void forward(const ForwardRun& run) {
@@ -68,8 +109,8 @@ class ForcedSteps {
             double* const element = turned_by(at, groups.data() + b * square);
             std::copy_n(state, n, start.data());
             if (element) std::copy_n(element, square, before_turn.data());
-            apply(at, state, element);
-            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
+            apply(at, b, state, element);
+            of(b).flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
                                  element ? before_turn.data() : nullptr, of_groups + b * carried * square);
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
@@ -85,14 +126,14 @@ class ForcedSteps {
                                          started_with.data(), of_inner.data(), threads, run.apart};
                 // The vectors before the step are still needed for the factor of the shift.
                 if (shifted) along_momenta.assign(vectors, vectors + moved.size());
-                derivatives[one.loop](derivatives[one.loop].forward, of_step);
+                carry(one.loop, &InnerDerivative::forward, of_step);
                 if (!shifted) {
                     std::copy_n(after.data(), after.size(), of_groups);
                 } else {
                     for (int64_t b = 0; b < count; ++b) {
-                        const double* const factor = shift.at(before.data() + b * n, h);
+                        const double* const factor = of(b).shift.at(before.data() + b * n, h);
                         changes.resize(carried * square);
-                        shift.along(carried, along_momenta.data() + b * carried * n, along(b) + first_factor(),
+                        of(b).shift.along(carried, along_momenta.data() + b * carried * n, along(b) + first_factor(),
                                     all.coefficients, changes.data());
                         for (int64_t v = 0; v < carried; ++v)
                             shifted_tangent(b, factor, changes.data() + v * square, after.data() + (b * carried + v) * square,
@@ -112,15 +153,16 @@ class ForcedSteps {
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
         // The states before the first flows, before the step, and after it, and the elements then, and those of its loop
-        // after it.
-        const int64_t each = count * (3 * n + (shifted ? 4 : 3) * square);
+        // after it; and what the loop stores.
+        const int64_t stored = begin_stored(run), states_of_each = count * (3 * n + (shifted ? 4 : 3) * square),
+                      each = states_of_each + count * stored;
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
         };
         begin(run);
         const auto move = [&](const FlowTime& at, int64_t b) {
-            apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
+            apply(at, b, x.data() + b * n, turned_by(at, groups.data() + b * square));
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             const double start = run.t0 + double(k - 1) * run.h;
@@ -134,10 +176,13 @@ class ForcedSteps {
                 hold(0);
                 each_flow(one, 0, start, run.h, move);
                 hold(1);
-                take(one, t, h);
+                for (int64_t b = 0; stored && b < count; ++b)
+                    if (!kept_of(one).take(b, x.data() + b * n, t, h, threads, to + states_of_each + b * stored))
+                        throw NotDifferentiated();
+                if (!stored) take(one, t, h);
                 if (shifted) std::copy_n(ends.data(), count * square, elements + 3 * count * square);
                 for (int64_t b = 0; shifted && b < count; ++b)
-                    shifted_group(b, shift.at(to + (count + b) * n, h), change.data());
+                    shifted_group(b, of(b).shift.at(to + (count + b) * n, h), change.data());
                 hold(2);
                 each_flow(one, 1, start, run.h, move);
             });
@@ -163,6 +208,13 @@ class ForcedSteps {
                 double* const elements_held = from + 3 * count * n;
                 pull_flows(one, 1, start, run.h, from + 2 * count * n, elements_held + 2 * count * square, rows, of_groups,
                            by_coefficients);
+                for (int64_t b = 0; stored && b < count; ++b)
+                    kept_of(one).pull(b, from + states_of_each + b * stored, h, threads, rows + b * n,
+                                      of_inner.data() + b * all.inner_coefficients);
+                if (stored) {
+                    pull_flows(one, 0, start, run.h, from, elements_held, rows, of_groups, by_coefficients);
+                    continue;
+                }
                 std::copy_n(rows, count * n, after.data());
                 std::copy_n(of_groups, count * square, group_after.data());
                 std::fill_n(rows, count * n, 0.0);
@@ -171,7 +223,7 @@ class ForcedSteps {
                 double* const element = elements_held + count * square;
                 if (shifted) std::copy_n(elements_held + 3 * count * square, count * square, ends.data());
                 for (int64_t b = 0; shifted && b < count; ++b)
-                    shifted_cotangents(b, shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
+                    shifted_cotangents(b, of(b).shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
                                        of_groups + b * square, through.data() + b * n,
                                        by_coefficients + b * all.coefficients + first_factor());
                 std::vector<double>& elements = shifted ? units() : started;
@@ -180,7 +232,7 @@ class ForcedSteps {
                 const BackwardRun of_step{n, square, count, t, h, 0, 1, before, zeros.data(), elements.data(), zeros.data(), 1,
                                           &ONE_STEP, after.data(), group_after.data(), rows, of_element.data(),
                                           of_inner.data(), deviations.data(), 0, threads};
-                derivatives[one.loop](derivatives[one.loop].backward, of_step);
+                carry(one.loop, &InnerDerivative::backward, of_step);
                 if (!shifted) std::copy_n(of_element.data(), count * square, of_groups);
                 for (int64_t i = 0; i < count * n; ++i) rows[i] += through[i];
                 pull_flows(one, 0, start, run.h, from, elements_held, rows, of_groups, by_coefficients);
@@ -194,19 +246,17 @@ class ForcedSteps {
     }
 
   private:
-    const ForcedDerivatives& all;
+    const ForcedDerivatives &all, &tables_of_first;
     const StepTables& tables;
     const ForcedLayout layout;
     const int64_t n, square, d, first, count, threads;
     const bool shifted;
-    ShiftFactor shift;
     std::vector<double> x, groups, started, zeros, change = std::vector<double>(2 * square), ones;
     std::vector<int64_t> status;
     std::vector<double*> states;
-    std::vector<std::unique_ptr<InnerStep>> inner;
-    std::vector<std::unique_ptr<Force>> forces;
-    std::vector<InnerDerivative> derivatives;
-    std::vector<std::unique_ptr<ForceDerivative>> flows;
+    std::vector<std::unique_ptr<MemberFlows>> own;  // of each member, or of all
+    std::unique_ptr<InnerLoops> columns;
+    InnerLoops* together = nullptr;  // of all members
     // Of the flows on a side of a substep: with the states before and after each.
     std::vector<FlowTime> times;
     std::vector<int64_t> members;
@@ -215,6 +265,31 @@ class ForcedSteps {
     int64_t ONE_STEP = 1;
 
     int64_t first_factor() const { return all.coefficients - all.casimirs; }
+
+    MemberFlows& of(int64_t b) const { return *own[all.apart ? b : 0]; }
+
+    template <class Run>
+    void carry(int64_t loop, InnerDerivative::Carry InnerDerivative::*way, const Run& run) {
+        const auto by = [&](InnerDerivative& one, int64_t begin, int64_t end) { one(one.*way, run, begin, end); };
+        if (together) return by(together->derivatives[loop], 0, count);
+        for (int64_t b = 0; b < count; ++b) by(of(b).loops.derivatives[loop], b, b + 1);
+    }
+
+    Kept& kept_of(const Substep& one) const { return *together->derivatives[one.loop].kept; }
+
+    // How many numbers a step of a member stores, if its loops do, by calls without steps.
+    int64_t begin_stored(const BackwardRun& run) {
+        if (square || !together || columns) return 0;
+        std::vector<double> rows(count * n), of_inner(count * all.inner_coefficients), deviations(count);
+        const BackwardRun none{n, 0, count, run.t0, run.h, 0, 0, zeros.data(), zeros.data(), nullptr, nullptr, 0,
+                               &ONE_STEP, nullptr, nullptr, rows.data(), nullptr, of_inner.data(), deviations.data(), 0, threads};
+        int64_t most = 0;
+        for (const InnerDerivative& one : together->derivatives) {
+            if (!one.kept) carry(&one - together->derivatives.data(), &InnerDerivative::backward, none);
+            most = one.kept ? std::max(most, one.kept->stored()) : 0;
+        }
+        return most;
+    }
 
     template <class Run>
     void begin(const Run& run) {
@@ -235,25 +310,27 @@ class ForcedSteps {
     void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit) {
         const bool end = &one == (side ? &layout.substeps.back() : &layout.substeps.front());
         const double begin = start + one.begin * h, half = 0.5 * (one.length * h);
-        for (size_t k = 0; k < forces.size(); ++k) {
-            const int64_t j = int64_t(side ? forces.size() - 1 - k : k);
-            const bool around = forces[j]->around_steps();
-            if (around && !end) continue;
+        const size_t flows = layout.forces.size();
+        for (size_t k = 0; k < flows; ++k) {
+            const int64_t j = int64_t(side ? flows - 1 - k : k);
             for (int64_t b = 0; b < count; ++b) {
-                if (around && !forces[j]->acts(start, h, first + b, side)) continue;
-                visit(around ? FlowTime{start, h, j, side, one.loop, first + b}
-                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, first + b}, b);
+                Force& force = *of(b).forces[j];
+                const int64_t member = all.apart ? 0 : first + b;  // whose noise it has
+                const bool around = force.around_steps();
+                if (around && !(end && force.acts(start, h, member, side))) continue;
+                visit(around ? FlowTime{start, h, j, side, one.loop, member}
+                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, member}, b);
             }
         }
     }
 
     // The element, if a flow moves it.
     double* turned_by(const FlowTime& at, double* element) const {
-        return square && forces[at.flow]->around_steps() ? element : nullptr;
+        return square && own[0]->forces[at.flow]->around_steps() ? element : nullptr;
     }
 
-    void apply(const FlowTime& at, double* state, double* element) {
-        if (forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    void apply(const FlowTime& at, int64_t b, double* state, double* element) {
+        if (of(b).forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
     // Take the flows on a side again from the states and elements before them, and pull the cotangents back.
@@ -269,15 +346,15 @@ class ForcedSteps {
             double* const element = groups.data() + b * square;
             passed.insert(passed.end(), state, state + n);
             turned.insert(turned.end(), element, element + square);
-            apply(at, state, turned_by(at, element));
+            apply(at, b, state, turned_by(at, element));
             passed.insert(passed.end(), state, state + n);
         });
         for (size_t k = times.size(); k-- > 0;) {
             const int64_t b = members[k];
             const double* const before = passed.data() + 2 * k * n;
             double* const element = turned_by(times[k], turned.data() + k * square);
-            flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n, by_coefficients + b * all.coefficients, element,
-                                       of_groups + b * square);
+            of(b).flows[times[k].flow]->pull(times[k], before, before + n, rows + b * n,
+                                             by_coefficients + b * all.coefficients, element, of_groups + b * square);
         }
     }
 
@@ -292,13 +369,12 @@ class ForcedSteps {
     void take(const Substep& one, double t, double h) {
         started = shifted ? units() : groups;
         if (shifted) ends = started;
-        InnerStep& step = *inner[one.loop];
-        if (!square && count > 1) {
+        if (!square && count > 1 && together) {
             for (int64_t b = 0; b < count; ++b) states[b] = x.data() + b * n;
-            step.take_all(states.data(), count, t, h, status.data());
+            together->steps[one.loop]->take_all(states.data(), count, t, h, status.data());
         } else {
             for (int64_t b = 0; b < count; ++b)
-                status[b] = step.take(x.data() + b * n, (shifted ? ends : groups).data() + b * square, t, h);
+                status[b] = of(b).loops.steps[one.loop]->take(x.data() + b * n, (shifted ? ends : groups).data() + b * square, t, h);
         }
         for (int64_t b = 0; b < count; ++b)
             if (status[b] != DONE) throw NotDifferentiated();
@@ -340,7 +416,7 @@ class ForcedSteps {
         add_matrix_product(d, 1.0, transposed.data(), whole.data(), pulled.data());
         transpose_matrix(d, group, transposed.data());
         add_matrix_product(d, 1.0, pulled.data(), transposed.data(), of_factor.data());
-        shift.pull(of_factor.data(), of_x, of_factors);
+        of(b).shift.pull(of_factor.data(), of_x, of_factors);
         // of s: F^T G^T W
         transpose_matrix(d, factor, transposed.data());
         std::fill_n(of_group, square, 0.0);
