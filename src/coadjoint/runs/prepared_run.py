@@ -82,7 +82,7 @@ class _Cache:
         self.events: WatchedEvents | None = None
         self.derivatives: Any = None
         self.of_members: dict[int, Any] = {}
-        self.in_columns: list[tuple[NDArray[np.int64], Any]] | None = None
+        self.in_columns: dict[frozenset[str], list[tuple[NDArray[np.int64], Any]]] = {}
         self.checks_step = False  # whether the next run warns of a step that is too large
 
     def times_of(self, t_span: Any, save_every: Any) -> Times:

@@ -17,6 +17,7 @@ from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line, unknown_name
 from coadjoint.short_repr import distinct, short
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import (
     EnergyCoefficients,
     Key,
@@ -475,11 +476,27 @@ def _plain(value: Floats) -> Any:
     return value if value.ndim else float(value)
 
 
-def parameters_of_members(system: Any) -> Mapping[str, Parameter]:
-    """Return the parameters of a system; of a batch those of all members, with an axis of members."""
+def values_of_member(values: Mapping[str, Floats] | None, member: int) -> dict[str, Floats] | None:
+    """Return the values of a member of a batch; None without values."""
+    return None if values is None else {name: value[member] for name, value in values.items()}
+
+
+def with_parameters_of_members(system: Any, values: Mapping[str, Floats]) -> Any:
+    """Return the system, or the batch, with these values of its parameters, those of `parameters_of_members`."""
     if not system.is_batch:
-        return parameters_of(system)
-    members = [parameters_of(member) for member in system]
+        return with_parameters(system, values)
+    changed = [with_parameters(one, values_of_member(values, m) or {}) for m, one in enumerate(system)]
+    return Batch(changed, system.axes, system.combined)
+
+
+def parameters_of_members(system: Any, values: Mapping[str, Floats] | None = None) -> Mapping[str, Parameter]:
+    """Return the parameters of a system; of a batch those of all members, with an axis of members.
+
+    With `values` they are those of `parameters_at`.
+    """
+    if not system.is_batch:
+        return parameters_of(system) if values is None else parameters_at(system, values)
+    members = [parameters_of_members(one, values_of_member(values, m)) for m, one in enumerate(system)]
     found = {}
     for name, first in members[0].items():
         if all(name in one and one[name].value.shape == first.value.shape for one in members):

@@ -1,5 +1,6 @@
 """Derivatives of runs with forces, forward and backward, against each other and against differences of the runs."""
 
+import time
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -7,7 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from derivative_checks import DIFFERENCE_ERROR, assert_derivatives
+from derivative_checks import DIFFERENCE_ERROR, assert_derivatives, outputs
 
 import coadjoint as co
 from guards import bounded_work
@@ -524,6 +525,85 @@ def test_members_have_the_derivatives_of_single_runs():
         parts.append((m, pullback(one.x, attitude=one.attitude)))
     for m, gradient in parts:
         np.testing.assert_allclose(found["x0"][m], gradient["x0"], rtol=0, atol=1e-13 * np.abs(gradient["x0"]).max())
+
+
+def of_members(*forces, count=3, **more):
+    """Return systems with unlike energies, and with forces of unlike numbers by the `forces` of a factor near one."""
+    factors = 1.0 + 0.1 * np.arange(count) / count
+    bodies = [co.systems.rigid_body((1.0, 2.0 * f, 2.5), **more) for f in factors]
+    return [body.with_forces(*(force(f) for force in forces)) for body, f in zip(bodies, factors, strict=True)]
+
+
+def damping(f):
+    return F.LinearDamping((0.3 * f, 0.2, 0.1 * f), toward=(0.1, 0.2 * f, 0.4))
+
+
+def driven(f):
+    return F.Torque(law, arguments={"gain": 0.3 * f, "tilt": (0.1, 0.2, 0.4 * f)})
+
+
+# Forces, a scheme, how many members, whether with the attitude, and in which direction of time.
+BATCHES = {
+    "damping": ((damping,), co.Splitting(), 35, False, 1),
+    "damping, then a law, backward": ((damping, driven), co.Splitting(order=4), 3, True, -1),
+    "law, then a damping": ((driven, damping), co.Splitting(order=4), 9, False, 1),
+    "matrix of rates": ((lambda f: F.LinearDamping(f * FULL, toward=AIM),), co.GaussLegendre(1), 3, True, 1),
+    "torques": ((lambda f: F.Torque((0.1, 0.2 * f, 0.4)), damping), co.Splitting(parts="coordinates"), 4, True, -1),
+    "on orbits": ((lambda f: F.DoubleBracketDamping(0.4 * f, (0.5, f, 2.0)), damping), co.Splitting(), 9, False, 1),
+    "sampled": ((lambda f: F.Sampled(driven(f), H), damping), co.Splitting(), 9, True, 1),
+    "noise": ((lambda f: F.HeatBath(0.3 * f, temperature=0.5 * f, seed=7), damping), co.Splitting(), 9, True, 1),
+    "fields": ((lambda f: shaken(0.4 * f, AXIAL, CUBIC), damping), co.Splitting(), 9, True, 1),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_unlike_members_with_forces_have_the_derivatives_of_single_runs(name):
+    """In one call of the loops, by their own constants and noise, on one and on two threads; and between steps."""
+    forces, method, count, attitude, sign = BATCHES[name]
+    systems, rng = of_members(*forces, count=count), np.random.default_rng(5)
+    x0, span = rng.uniform(0.2, 0.9, (count, 3)), (0.5, 0.5 + sign * 4 * H)
+    noisy = systems[0].has_noise
+    options = {} if noisy or name == "sampled" else {"t_eval": [0.5, 0.5 + sign * 1.3 * H, span[1]]}
+    found = []
+    for threads in (1, 2):
+        ready = co.prepare(co.batch(systems), method, H, attitude=attitude, threads=threads)
+        directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
+        sol, tangents = ready.jvp(x0, span, directions, **options)
+        weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
+        _, pullback = ready.vjp(x0, span, **options)
+        found.append((sol, tangents, pullback(**weights)))
+        rng = np.random.default_rng(5)
+        rng.uniform(0.2, 0.9, (count, 3))
+    one, two = ([*outputs(tangents).values(), *gradient.values()] for _, tangents, gradient in found)
+    assert all(map(np.array_equal, one, two))
+    sol, tangents, gradient = found[-1]
+    for m in {0, 1, count - 1}:
+        # Loops of single runs have other lanes, of the vectors, whose products are the same numbers.
+        single = co.prepare(systems[m].among(m, m + 1), method, H, attitude=attitude)
+        own = {name: value[m] for name, value in directions.items()}
+        alone, one = single.jvp(x0[m], span, own, **options)
+        assert np.array_equal(sol.x[:, m], alone.x)
+        assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
+        by_one = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
+        assert {*by_one} == {*gradient}
+        assert all(np.array_equal(gradient[name][m], value) for name, value in by_one.items())
+
+
+def test_gradients_of_unlike_members_with_forces_take_few_times_those_of_an_ensemble():
+    """Forces of members one after the other, with a call for each, took ten times as long."""
+    count, x0 = 32, np.random.default_rng(5).uniform(0.2, 0.9, (32, 3))
+    systems, times = of_members(damping, count=count), []
+    for system in (systems[0], co.batch(systems)):
+        ready = co.prepare(system, co.Splitting(), H)
+        sol, pullback = ready.vjp(x0, (0.0, 400 * H), 400)
+        pullback(sol.x)
+        each = []
+        for _ in range(5):
+            began = time.process_time()
+            ready.vjp(x0, (0.0, 400 * H), 400)[1](sol.x)
+            each.append(time.process_time() - began)
+        times.append(min(each))
+    assert times[1] < 4 * times[0]
 
 
 def test_gradients_of_long_runs_take_bounded_work():

@@ -127,7 +127,8 @@ class FlowCotangents(NamedTuple):
     group_dual: Action
     hessians: NDArray[np.int64]
     added: int
-    stride: int
+    stride: int = 0
+    column: int = 0
 
 
 class ForwardRun(NamedTuple):
@@ -271,7 +272,7 @@ def flow_cotangents(
         by_coefficients, owners = addresses_by_coefficients(added.functions, added.shares)
         hessians, keepalive = np.concatenate([hessians, by_coefficients]), (*keepalive, *owners)
     return CompiledTables(
-        FlowCotangents(tables, dual, group_dual, hessians, index, 0), (*base.keepalive, *keepalive), base.sources
+        FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive), base.sources
     )
 
 

@@ -59,6 +59,9 @@ class ForcedDerivatives(NamedTuple):
     casimirs: int
     factors: Floats
     turning: Floats
+    apart: bool = False
+    members: NDArray[np.int64] = NO_ADDRESSES
+    stride: int = 0
 
 
 class FlowCoefficients(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,14 @@ Floats = NDArray[np.float64]
 EXACT = "exact"
 ADDED_PART = "added part"
 DIFFERENCES = "differences"
+NEAREST_FIRST = (EXACT, DIFFERENCES, ADDED_PART)
 COEFFICIENTS = ("base.terms.offset", "base.terms.weight", "base.terms.coefficient")
+
+
+def least_exact(rules: Iterable[str]) -> str:
+    """Return the rule that is farthest from the derivative of the computed map."""
+    return max(rules, key=NEAREST_FIRST.index)
+
 
 Kernel = str | Callable[[Any, Any, int, int], None]
 

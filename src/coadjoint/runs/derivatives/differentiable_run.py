@@ -26,7 +26,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative, FixedVelocity
-from coadjoint.systems.parameters import Parameter, parameters_of, parameters_of_members
+from coadjoint.systems.parameters import Parameter, parameters_of_members, values_of_member
 from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
@@ -67,7 +67,8 @@ class Arguments(NamedTuple):
 class DifferentiableRun:
     """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme."""
 
-    def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
+    def __init__(self, prepared: PreparedRun, values: Mapping[str, Floats] | None = None) -> None:
+        # `values` of parameters, which may be zero, in place of all parameters that the system has.
         system = prepared.system
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
@@ -81,15 +82,32 @@ class DifferentiableRun:
         if self.base.differentiates(plain):
             check_differentiable(plain)
         self.prepared, self.system = prepared, system
-        self.parameters: Mapping[str, Parameter] = parameters_of_members(system) if parameters is None else parameters
+        self.parameters: Mapping[str, Parameter] = parameters_of_members(system, values)
+        self._values = values
         self.representation, self.inputs = prepared.representation, prepared.inputs
         self._tables: dict[Any, DerivativeTables] = {}
+
+    @staticmethod
+    def of(prepared: PreparedRun) -> DifferentiableRun:
+        """Return the derivatives of a run by all parameters, which it keeps."""
+        if prepared.cache.derivatives is None:
+            prepared.cache.derivatives = DifferentiableRun(prepared)
+        return prepared.cache.derivatives  # type: ignore[no-any-return]
+
+    def of_member(self, member: int) -> DifferentiableRun:
+        """Return the derivatives of the run of one member of a batch alone."""
+        prepared = self.prepared.of_member(member)
+        if self._values is None:
+            return DifferentiableRun.of(prepared)
+        return DifferentiableRun(prepared, values_of_member(self._values, member))
 
     def energy(self, name: str, member: int = 0) -> EnergyDerivative:
         """Return the derivative of the energy by a parameter, or by the inputs for `INPUTS`."""
         if name == INPUTS and self.inputs is not None:
             return by_linear(self.inputs)
-        of_member = parameters_of(self.system[member]) if self.system.is_batch else self.parameters
+        of_member = self.parameters
+        if self.system.is_batch:
+            of_member = parameters_of_members(self.system[member], values_of_member(self._values, member))
         energy = of_member[name].energy()
         return energy if self.inputs is None else without_inputs(energy, self.inputs)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CalledInPython
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.compiled import as_structure
+from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, numbers_at, run_at
 from coadjoint.kernels.tables.flow_derivatives import (
     FlowCoefficients,
@@ -24,7 +24,7 @@ from coadjoint.kernels.tables.flow_derivatives import (
 )
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced, flow_of_force, on_side
-from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables, least_exact
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -268,6 +268,48 @@ class ForcedTables:
             factors=dict.fromkeys(names, NO_MULTIPLES),
             rules=rules,
         )
+
+
+class MultiplesOfMembers(NamedTuple):
+    """The multiples of each member of a batch, which may be of different coefficients."""
+
+    each: Sequence[Multiples]
+
+    def of_entries(self, by_constant: Floats, entries: int) -> Floats:
+        return np.stack([one.of_entries(row, entries) for one, row in zip(self.each, by_constant, strict=True)])
+
+    def of_directions(self, directions: Floats, count: int) -> Floats:
+        return np.stack([one.of_directions(rows, count) for one, rows in zip(self.each, directions, strict=True)])
+
+
+def joined_tables(each: Sequence[DerivativeTables], tables_at: Callable[..., Any]) -> DerivativeTables:
+    """Return the derivatives of steps of the members of a batch, with `tables_at` of all."""
+    coefficients: dict[str, Any] = {
+        name: MultiplesOfMembers([one.coefficients[name] for one in each]) for name in each[0].rules
+    }
+    rules = {name: least_exact(one.rules[name] for one in each) for name in each[0].rules}
+    keepalive = tuple(owner for one in each for owner in one.keepalive)
+    return each[0]._replace(tables_at=tables_at, coefficients=coefficients, rules=rules, keepalive=keepalive)
+
+
+def structure_of_members(structures: Sequence[Any], columns: tuple[Any, Sequence[Any]] | None = None) -> Any:
+    """Return the tables of steps of members, each with its own, and the loops without forces as `columns`, if any."""
+    first = structures[0]
+    sizes = [(one.coefficients, one.inner_coefficients, one.casimirs) for one in structures]
+    if sizes != sizes[:1] * len(sizes):
+        raise NotWritable("derivatives of the members have different coefficients; use prepared.jvp and prepared.vjp")
+    addresses = np.array([ctypes.addressof(one) for one in structures], dtype=np.int64)
+    joined = first.source._replace(apart=True, members=addresses)
+    if columns is not None:
+        stepping, loops = columns
+        inner = joined.inner.copy()
+        inner[2::3] = [ctypes.addressof(one) for one in loops]
+        joined = joined._replace(forced=ctypes.addressof(stepping.tables), inner=inner, stride=loops[0].stride)
+    structure = as_structure(joined)
+    structure.owner = structures, columns
+    structure.raising = tuple(one for own in structures for one in own.raising)
+    structure.in_python = any(one.in_python for one in structures)
+    return structure
 
 
 def as_structure_of(tables: Any) -> Any:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, unknown_name
-from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
+from coadjoint.kernels.tables.compiled import NotWritable
+from coadjoint.methods.protocol.derivative_tables import least_exact
 from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback, pullback_of_run
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import Tangents, check_shape, read_mapping, tangents_of_run
@@ -27,33 +28,33 @@ from coadjoint.validation import read_numbers, to_array
 def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) -> tuple[Solution, Tangents]:
     """Return the solution and its derivatives along directions; see `PreparedRun.jvp`."""
     given = Arguments(**arguments)
-    return (_tangents_of_members if _by_member(prepared, given) else _tangents)(prepared, given, directions)
+    names = frozenset(directions) & prepared.parameters.keys() if isinstance(directions, Mapping) else frozenset()
+    pieces = _by_member(prepared, given, names)
+    if pieces is None:
+        return _tangents(prepared, given, directions)
+    return _tangents_of_members(prepared, given, directions, pieces)
 
 
 def vjp(prepared: PreparedRun, reverse: str, **arguments: Any) -> tuple[Solution, Pullback]:
     """Return the solution and a function for gradients; see `PreparedRun.vjp`."""
     given = Arguments(**arguments)
-    pullback = (_pullback_of_members if _by_member(prepared, given) else _pullback)(prepared, given, reverse)
+    pieces = _by_member(prepared, given, frozenset(prepared.parameters))
+    if pieces is None:
+        pullback = _pullback(prepared, given, reverse)
+    else:
+        pullback = _pullback_of_members(prepared, given, reverse, pieces)
     return pullback.solution, pullback
 
 
 def _tangents(prepared: PreparedRun, given: Arguments, directions: Mapping[str, Any]) -> tuple[Solution, Tangents]:
-    run = _derivatives_of(prepared)
+    run = DifferentiableRun.of(prepared)
     return tangents_of_run(run, _trajectory(run, given, None), directions)
 
 
 def _pullback(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
-    run = _derivatives_of(prepared)
+    run = DifferentiableRun.of(prepared)
     run.check_reverse(reverse, prepared.step)
     return pullback_of_run(run, _trajectory(run, given, reverse))
-
-
-def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
-    """Return the tables of the derivatives of a run, which it keeps."""
-    cache = prepared.cache
-    if cache.derivatives is None:
-        cache.derivatives = DifferentiableRun(prepared)
-    return cache.derivatives
 
 
 def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -> Trajectory:
@@ -62,26 +63,31 @@ def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -
     return LocatedTrajectory(run, given, reverse)
 
 
-def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
-    """Return whether members are differentiated in several runs: their structure, steps or times differ."""
+_Joined = list[tuple[NDArray[np.int64], PreparedRun]]
+"""Members of a batch that are differentiated together, and the run of these."""
+
+
+def _by_member(prepared: PreparedRun, given: Arguments, names: frozenset[str]) -> _Joined | None:
+    """Return the members that are differentiated together if all are not: their structure, steps or times differ."""
     several = prepared.system.is_batch
     if given.events or prepared.method.own_steps:
         if prepared.inputs is not None:
             raise TypeError(
                 "runs with events or steps of their own have no derivatives with inputs; prepare without inputs="
             )
-        return several or np.ndim(given.x0) > len(prepared.system.shape)
+        return [] if several or np.ndim(given.x0) > len(prepared.system.shape) else None
     if several:
-        pieces = [len(members) for members, _ in _in_columns(prepared)]
-        several = pieces != [len(prepared.system)] or prepared.loops(prepared.step).order is not None
-    return several
+        joined = _in_columns(prepared, names)
+        whole = [len(members) for members, _ in joined] == [len(prepared.system)]
+        return None if whole and prepared.loops(prepared.step).order is None else joined
+    return None
 
 
 _Piece = tuple[Any, PreparedRun, Arguments]
 """Members of a run that are differentiated together, by their numbers or the number of one, and their own run."""
 
 
-def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Piece]]:
+def _pieces(prepared: PreparedRun, given: Arguments, together: _Joined) -> tuple[Solution, list[_Piece]]:
     solution, start = prepared.run(**given.keywords), prepared.start(given.x0, given.attitude)
     values = prepared.values_of(given.inputs)
     attitudes: Any = None if prepared.representation is None else start.groups
@@ -91,28 +97,43 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
         own = {} if values is None else {name: values[members][at] for name, at in prepared.inputs.indices.items()}
         return members, run, given._replace(x0=solution.x0[members], attitude=attitude, inputs=own)
 
-    together = [] if given.events or prepared.method.own_steps else _in_columns(prepared)
     alone = np.setdiff1d(np.arange(len(solution.x0)), np.concatenate([np.zeros(0, int), *(one for one, _ in together)]))
     pieces = [piece(members, run) for members, run in together]
     return solution, [*pieces, *(piece(m, prepared.of_member(m)) for m in alone.tolist())]
 
 
-def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
-    """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
-    alone = not prepared.system.is_batch or prepared.system.forces or prepared.inputs is not None
-    if alone or not prepared.scheme.differentiates(prepared.system.of_member(0)):
+def _in_columns(prepared: PreparedRun, names: frozenset[str]) -> _Joined:
+    """Return the members of a batch that are differentiated together by these parameters."""
+    system = prepared.system
+    forced = bool(system.forces)
+    if prepared.inputs is not None or not (forced or prepared.scheme.differentiates(system.of_member(0))):
         return []
-    cache = prepared.cache
-    if cache.in_columns is None:
-        loops = prepared.loops(prepared.step)
-        parts = [(members, prepared.sampled(members)) for members in loops.in_columns]
-        cache.in_columns = [(members, run) for members, run in parts if differ_in_columns(run)]
-    return cache.in_columns
+    cache, key = prepared.cache.in_columns, names if forced else frozenset()
+    if key not in cache:
+        parts = [members for members in prepared.loops(prepared.step).in_columns]
+        # The noise of some members is that of their numbers.
+        chosen = [members for members in parts if len(members) == len(system) or not system.has_noise]
+        runs = [(members, prepared if len(members) == len(system) else prepared.sampled(members)) for members in chosen]
+        cache[key] = [
+            (members, run) for members, run in runs if differ_in_columns(run) and (not forced or _joins(run, key))
+        ]
+    return cache[key]
 
 
-def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: Any) -> tuple[Solution, Tangents]:
+def _joins(prepared: PreparedRun, names: frozenset[str]) -> bool:
+    """Return whether the derivatives of steps with forces of all members have the same coefficients."""
+    try:
+        DifferentiableRun.of(prepared).tables(prepared.step, names)
+    except NotWritable:
+        return False
+    return True
+
+
+def _tangents_of_members(
+    prepared: PreparedRun, given: Arguments, directions: Any, joined: _Joined
+) -> tuple[Solution, Tangents]:
     """Return the solution of all members, and the tangents of each, side by side."""
-    solution, pieces = _pieces(prepared, given)
+    solution, pieces = _pieces(prepared, given, joined)
     count, points, parameters = len(solution.x0), len(solution.t), prepared.parameters
     directions = read_mapping(directions, "directions", "names")
     leading: dict[str, Any] = {}
@@ -172,9 +193,9 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
     return solution, tangents
 
 
-def _pullback_of_members(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
+def _pullback_of_members(prepared: PreparedRun, given: Arguments, reverse: str, joined: _Joined) -> Pullback:
     """Return the function from cotangents of the outputs of a run of several members to a gradient."""
-    solution, pieces = _pieces(prepared, given)
+    solution, pieces = _pieces(prepared, given, joined)
     pullbacks = [_pullback(run, own, reverse) for _, run, own in pieces]
     by_each = _by_each(prepared, given)
     return Pullback(solution, partial(_gradient_of_members, prepared, solution, pieces, pullbacks, by_each))
@@ -264,8 +285,7 @@ def _of_each(of_piece: Callable[[Any], Any], pieces: Sequence[Any]) -> tuple[lis
 
 def _rules(found: Sequence[Tangents | Gradient], names: Iterable[str]) -> dict[str, str]:
     """Return the rule of each parameter: the farthest one from the computed map among the members."""
-    nearest_first = (EXACT, DIFFERENCES, ADDED_PART)
-    return {name: max((one.rule[name] for one in found), key=nearest_first.index) for name in names}
+    return {name: least_exact(one.rule[name] for one in found) for name in names}
 
 
 def _raise(error: IntegrationError | None, solution: Solution, derivatives: Any) -> None:

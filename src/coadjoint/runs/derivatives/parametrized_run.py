@@ -19,7 +19,7 @@ from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.parameters import with_parameters_of_members
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import is_called_in_python
 
@@ -69,10 +69,8 @@ class ParametrizedRun:
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
                 'prepared.jvp and prepared.vjp, or co.jax.solution with backend="xla"'
             )
-        if prepared.system.is_batch and prepared.system.forces:
-            raise TypeError(
-                f"{caller} takes batches without forces, not {prepared.system.name}; use prepared.jvp and prepared.vjp"
-            )
+        if prepared.system.is_batch and prepared.system.forces and not compiled:
+            raise TypeError(f"{caller} takes batches with forces by the compiled loops only; omit backend=")
         if prepared.method.own_steps:
             raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
         self._prepared = prepared
@@ -238,9 +236,7 @@ class ParametrizedRun:
         key, (last, run) = _key(given), self._last_run
         if key != last:
             system = self._run.system
-            run = DifferentiableRun(
-                self._prepared.of_system(with_parameters(system, changed)), parameters_at(system, given)
-            )
+            run = DifferentiableRun(self._prepared.of_system(with_parameters_of_members(system, changed)), given)
             self._last_run = key, run
         return run
 

@@ -18,7 +18,12 @@ from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.sources import NO_MULTIPLES
-from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedTables
+from coadjoint.runs.derivatives.forced_steps import (
+    FlowEntry,
+    ForcedTables,
+    joined_tables,
+    structure_of_members,
+)
 from coadjoint.runs.derivatives.segments import Segment, StepwiseDerivatives, carry, stepwise_derivatives
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.member_batches import Columns
@@ -83,45 +88,98 @@ def differ_in_columns(prepared: PreparedRun) -> bool:
     loops: Any = prepared.loops(prepared.step)
     if loops.columns_of_members is None or loops.order is not None:
         return False
-    each = [[one.energy().monomials for one in parameters_of(member).values()] for member in prepared.system.distinct]
+    systems = [member.unforced for member in prepared.system.distinct]
+    each = [[one.energy().monomials for one in parameters_of(system).values()] for system in systems]
     return all(one == each[0] for one in each)
+
+
+class MemberColumns:
+    """Tables of the derivatives of steps without forces of the members of a batch, which differ in columns."""
+
+    def __init__(self, run: DifferentiableRun, h: float, names: Sequence[str]) -> None:
+        systems, loops = run.system.systems, run.prepared.loops(run.prepared.step)
+        if loops.columns_of_members is None:
+            raise TypeError(f"the members of {run.system.name} have different functions; use prepared.jvp or vjp")
+        self._columns: Columns = loops.columns_of_members
+        self.values, self._dim = self._columns.values, systems[0].dim
+        energies = {name: [run.energy(name, m) for m in range(len(systems))] for name in names}
+        of_first = {name: each[0] for name, each in energies.items()}
+        tables = run.base.derivative_tables(systems[0].unforced, h, run.representation, of_first)
+        coefficients, factors = (
+            {name: tables.monomials[name][k].of_energies(each) for name, each in energies.items()} for k in range(2)
+        )
+        self.tables = tables._replace(
+            of_members=loops.shift_factors, coefficients=coefficients, factors=factors, tables_at=cache(self._ranges)
+        )
+        self._of_first = tables
+
+    def _writable(self, step: float) -> tuple[WritableTables, bool]:
+        """Return the tables of a step into which the members are written, and whether as columns."""
+        loop = CompiledTables(self._of_first.tables_at(step), sources=self._of_first.sources)
+        writable = self._columns.written_from(loop, invariants_table([], self._dim), self.values[0])
+        in_lanes = type(loop.tables) is FlowCotangents and self._dim <= limit("WIDEST")
+        return writable, in_lanes and not writable.separate_tables
+
+    def together(self, step: float, count: int) -> Any:
+        """Return the tables of the first members as columns; None if they are written apart."""
+        writable, in_lanes = self._writable(step)
+        if not count or not in_lanes:
+            return None
+        found, _, stride = writable.each(self.values[:count])
+        found.stride, found.owner = stride, writable
+        return found
+
+    def are_of(self, each: Sequence[DerivativeTables], structure: Any) -> bool:
+        """Return whether the coefficients of members are the first ones of their tables with forces."""
+        found = [
+            (own.position, own.number, own.factor[m], one.coefficients[name].take(slice(len(own.number))))
+            for name, own in self.tables.coefficients.items()
+            for m, one in enumerate(each)
+        ]
+        same = all(all(map(np.array_equal, own, other)) for *own, other in found)
+        return same and self.tables.coefficient_count == structure.inner_coefficients
+
+    def _ranges(self, step: float) -> list[tuple[int, int, Any]]:
+        writable, _ = self._writable(step)
+        members = len(self.values)
+        rest = members % limit("MOST_LANES")
+        count = members - (rest if rest < FEWEST_IN_LANES else 0)
+        together = self.together(step, count)
+        ranges = [] if together is None else [(0, count, together)]
+        for m in range(0 if together is None else count, members):
+            alone, _ = writable.shared(self.values[m])
+            alone.owner = writable
+            ranges.append((m, m + 1, alone))
+        return ranges
 
 
 def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) -> DerivativeTables:
     """Return the tables of the members of a batch, which differ in columns."""
-    systems, loops = run.system.systems, run.prepared.loops(run.prepared.step)
-    columns = cast(Columns, loops.columns_of_members)
-    energies = {name: [run.energy(name, m) for m in range(len(systems))] for name in names}
-    tables = run.base.derivative_tables(
-        systems[0], h, run.representation, {name: each[0] for name, each in energies.items()}
-    )
-    watch = invariants_table([], systems[0].dim)
+    if not run.system.forces:
+        return MemberColumns(run, h, names).tables
+    system, loops, forced = run.system, run.prepared.loops(h), cast(Forced, run.scheme)
+    firsts = np.unique(system.owners, return_index=True)[1]
+    owners = (np.arange(len(system)) if system.has_noise else firsts[system.owners]).tolist()
+    known = {m: run.of_member(m).tables(h, names) for m in dict.fromkeys(owners)}
+    each = [known[m] for m in owners]
+    columns, stepping = None, loops.columns_of_members
+    if stepping is not None and run.base.differentiates(system.first.unforced):
+        in_energy = [name for name in names if name in parameters_of(system.first.unforced)]
+        columns = MemberColumns(run, h, in_energy)
+        stepping = stepping.tables(loops.compiled[0], loops.watches[0])
 
-    @cache
-    def tables_at(step: float) -> list[tuple[int, int, Any]]:
-        loop = CompiledTables(tables.tables_at(step), sources=tables.sources)
-        writable = columns.written_from(loop, watch, columns.values[0])
-        count = 0
-        ranges: list[tuple[int, int, Any]] = []
-        in_lanes = type(loop.tables) is FlowCotangents and systems[0].dim <= limit("WIDEST")
-        if in_lanes and not writable.separate_tables:
-            rest = len(systems) % limit("MOST_LANES")
-            count = len(systems) - (rest if rest < FEWEST_IN_LANES else 0)
-        if count:
-            together, _, stride = writable.each(columns.values[:count])
-            together.stride = stride
-            ranges.append((0, count, together))
-        ranges += [(m, m + 1, writable.shared(columns.values[m])[0]) for m in range(count, len(systems))]
-        for *_, structure in ranges:
-            structure.owner = writable
-        return ranges
+    @lru_cache(2)
+    def tables_at(step: float) -> Any:
+        structures = [one.tables_at(step) for one in each]
+        if columns is None or stepping.separate_tables or not columns.are_of(each, structures[0]):
+            return structure_of_members(structures)
+        inner = [columns.together(c * step, len(each)) for c in dict.fromkeys(forced.fractions)]
+        if any(one is None for one in inner):
+            return structure_of_members(structures)
+        return structure_of_members(structures, (stepping.each(columns.values)[0], inner))
 
-    coefficients, factors = (
-        {name: tables.monomials[name][k].of_energies(each) for name, each in energies.items()} for k in range(2)
-    )
-    return tables._replace(
-        tables_at=tables_at, of_members=loops.shift_factors, coefficients=coefficients, factors=factors
-    )
+    tables_at(h)  # raises NotWritable for members whose derivatives are not joined
+    return joined_tables(each, tables_at)
 
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:

@@ -195,10 +195,10 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
 // Cotangents of a program. `dual` moves them as minus the transposes of the generators of `base.state`, `group_dual` as
 // those of `base.group`. The part `added`, unless it is negative, moves nothing: its angles are components of a gradient
 // whose coefficients are differentiated, by those of functions with their derivatives at `hessians`. With a `stride` the
-// constants of members are columns, as many as that.
+// constants of members are columns, as many as that, from `column` on.
 #define FLOW_COTANGENTS_FIELDS(_)                                                                                    \
     _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)            \
-    _(integer, stride)
+    _(integer, stride) _(integer, column)
 TABLE(FlowCotangents, FLOW_COTANGENTS_FIELDS)
 
 // A Runge-Kutta method whose steps are differentiated. `added` are the terms of the derivative of the energy by
@@ -252,10 +252,12 @@ TABLE(ForceDerivatives, FORCE_DERIVATIVES_FIELDS)
 // addresses of the functions that carry tangents and cotangents, and of their tables; of each flow that of
 // `ForceDerivatives`; and the factors of the Casimirs subtracted from H, which turn a stored element by the exponential of
 // the sum of factors[c] x[j] turning[c, j] times the length. The `coefficients` are those of the inner loops, those by which
-// flows are differentiated in Python, `called`, those of the flows, and these factors.
+// flows are differentiated in Python, `called`, those of the flows, and these factors. If `apart`, each of the `members` has
+// such tables of its own, at these addresses; `forced` and `inner` are then those that have `stride` columns, if any.
 #define FORCED_DERIVATIVES_FIELDS(_)                                                                                 \
     _(integer, forced) _(integers, inner) _(integers, flows) _(integer, inner_coefficients) _(integer, called)       \
-    _(integer, coefficients) _(integer, casimirs) _(numbers, factors) _(numbers, turning)
+    _(integer, coefficients) _(integer, casimirs) _(numbers, factors) _(numbers, turning) _(flag, apart)             \
+    _(integers, members) _(integer, stride)
 TABLE(ForcedDerivatives, FORCED_DERIVATIVES_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \

@@ -17,11 +17,70 @@ struct InnerDerivative {
     std::unique_ptr<Kept> kept;
 
     template <class Run>
-    void operator()(Carry carry, const Run& run) {
-        const int64_t outcome = carry(tables, &run, 0, run.members, &kept);
+    void operator()(Carry carry, const Run& run, int64_t first, int64_t last) {
+        const int64_t outcome = carry(tables, &run, first, last, &kept);
         if (outcome == NO_MEMORY) throw std::bad_alloc();
         if (outcome == INTERRUPTED) throw Interrupted{};
         if (outcome) throw NotDifferentiated();
+    }
+};
+
+// The inner loops of members with the same tables, or with columns of them, and their derivatives.
+struct InnerLoops {
+    // One of both for each length, as in runs.
+    std::vector<std::unique_ptr<FinishedStep<double>>> programs;
+    std::vector<std::unique_ptr<InnerStep>> steps;
+    std::vector<InnerDerivative> derivatives;
+
+    InnerLoops(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t members, bool shifted,
+               const LaneConstants& columns) {
+        const ForcedLayout layout(reinterpret_cast<const StepTables*>(all.forced)->whole);
+        located.reserve(layout.loops.size());
+        for (size_t k = 0; k < layout.loops.size(); ++k) {
+            std::vector<int64_t> plain(layout.loops[k], layout.loops[k] + ForcedLayout::ADDRESSES);
+            if (shifted) plain.back() = 0;
+            const bool alone = !square && members == 1 && !columns.stride && size <= WIDEST;
+            programs.push_back(alone ? FinishedStep<double>::of(plain.data(), size) : nullptr);
+            steps.emplace_back(programs.back() ? nullptr : new InnerStep(plain.data(), size, square, members, columns));
+            const void* tables = reinterpret_cast<const void*>(all.inner[3 * k + 2]);
+            if (columns.stride) {
+                located.push_back(*static_cast<const FlowCotangents*>(tables));
+                located.back().column = columns.first;
+                tables = &located.back();
+            }
+            derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
+                                   reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]), tables, nullptr});
+        }
+    }
+
+    int64_t take(int64_t loop, double* x, double* group, double t, double h) {
+        if (!programs[loop]) return steps[loop]->take(x, group, t, h);
+        programs[loop]->take(x, t, h, true);
+        return int64_t(programs[loop]->status);
+    }
+
+  private:
+    std::vector<FlowCotangents> located;  // whose columns are those of the first member on
+};
+
+// The flows and loops of one member, or of all with the same tables.
+struct MemberFlows {
+    const StepTables& tables;
+    ShiftFactor shift;
+    InnerLoops loops;
+    std::vector<std::unique_ptr<Force>> forces;
+    std::vector<std::unique_ptr<ForceDerivative>> flows;
+
+    MemberFlows(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t members)
+        : tables(*reinterpret_cast<const StepTables*>(all.forced)),
+          shift(size, square ? tables.group.size : 0, square ? all.casimirs : 0, all.factors, all.turning),
+          loops(all, size, square, square ? 1 : members, square && all.casimirs, {0, 0}) {
+        const ForcedLayout layout(tables.whole);
+        for (size_t j = 0; j < layout.forces.size(); ++j) {
+            forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
+            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,
+                                                   all));
+        }
     }
 };
 
@@ -29,26 +88,17 @@ struct InnerDerivative {
 class ForcedSteps {
   public:
     ForcedSteps(const ForcedDerivatives& all, int64_t size, int64_t square, int64_t first, int64_t count, int64_t threads)
-        : all(all), tables(*reinterpret_cast<const StepTables*>(all.forced)), layout(tables.whole), n(size), square(square),
+        : all(all), tables_of_first(all.apart ? *reinterpret_cast<const ForcedDerivatives*>(all.members[first]) : all),
+          tables(*reinterpret_cast<const StepTables*>(tables_of_first.forced)), layout(tables.whole), n(size), square(square),
           d(square ? tables.group.size : 0), first(first), count(count), threads(threads), shifted(square && all.casimirs),
-          shift(n, d, shifted ? all.casimirs : 0, all.factors, all.turning), x(count * n), groups(count * square),
-          started(count * square), zeros(count * std::max(n, square)), status(count), states(count),
-          work(count * (16 * work_of(tables.field) + 64 * n * int64_t(1 + layout.forces.size()))) {
-        for (const int64_t* loop : layout.loops) {
-            std::vector<int64_t> plain(loop, loop + ForcedLayout::ADDRESSES);
-            if (shifted) plain.back() = 0;
-            programs.push_back(square || count > 1 || n > WIDEST ? nullptr : FinishedStep<double>::of(plain.data(), n));
-            inner.emplace_back(programs.back() ? nullptr : new InnerStep(plain.data(), n, square, square ? 1 : count));
-        }
-        for (size_t k = 0; k < layout.loops.size(); ++k)
-            derivatives.push_back({reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k]),
-                                   reinterpret_cast<InnerDerivative::Carry>(all.inner[3 * k + 1]),
-                                   reinterpret_cast<const void*>(all.inner[3 * k + 2]), nullptr});
-        for (size_t j = 0; j < layout.forces.size(); ++j) {
-            forces.emplace_back(new Force(*layout.forces[j], tables.field, tables.group, MemberConstants{1, 0}));
-            flows.emplace_back(new ForceDerivative(*reinterpret_cast<const ForceDerivatives*>(all.flows[j]), *forces.back(), tables,
-                                                   all));
-        }
+          x(count * n), groups(count * square), started(count * square), zeros(count * std::max(n, square)), status(count),
+          states(count), work(count * (16 * work_of(tables.field) + 64 * n * int64_t(1 + layout.forces.size()))) {
+        for (int64_t b = 0; b < (all.apart ? count : 1); ++b)
+            own.emplace_back(new MemberFlows(all.apart ? *reinterpret_cast<const ForcedDerivatives*>(all.members[first + b]) : all,
+                                             n, square, all.apart ? 1 : count));
+        if (all.apart && all.stride && n <= WIDEST && count >= MIN_LANES)
+            columns.reset(new InnerLoops(all, n, square, square ? 1 : count, shifted, {all.stride, first}));
+        together = columns ? columns.get() : all.apart ? nullptr : &own[0]->loops;
     }
 
     void forward(const ForwardRun& run) {
@@ -70,8 +120,8 @@ class ForcedSteps {
             double* const element = turned_by(at, groups.data() + b * square);
             std::copy_n(state, n, start.data());
             if (element) std::copy_n(element, square, before_turn.data());
-            apply(at, state, element);
-            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
+            apply(at, b, state, element);
+            of(b).flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
                                  element ? before_turn.data() : nullptr, of_groups + b * carried * square);
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
@@ -87,14 +137,14 @@ class ForcedSteps {
                                          started_with.data(), of_inner.data(), threads, run.apart};
                 // The vectors before the step are still needed for the factor of the shift.
                 if (shifted) along_momenta.assign(vectors, vectors + moved.size());
-                derivatives[one.loop](derivatives[one.loop].forward, of_step);
+                carry(one.loop, &InnerDerivative::forward, of_step);
                 if (!shifted) {
                     std::copy_n(after.data(), after.size(), of_groups);
                 } else {
                     for (int64_t b = 0; b < count; ++b) {
-                        const double* const factor = shift.at(before.data() + b * n, h);
+                        const double* const factor = of(b).shift.at(before.data() + b * n, h);
                         changes.resize(carried * square);
-                        shift.along(carried, along_momenta.data() + b * carried * n, along(b) + first_factor(),
+                        of(b).shift.along(carried, along_momenta.data() + b * carried * n, along(b) + first_factor(),
                                     all.coefficients, changes.data());
                         for (int64_t v = 0; v < carried; ++v)
                             shifted_tangent(b, factor, changes.data() + v * square, after.data() + (b * carried + v) * square,
@@ -113,8 +163,10 @@ class ForcedSteps {
 
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
-        // The states and elements before each flow and before the step, and, if shifted, the elements of its loop after it.
-        const int64_t each = count * (slot_of_flow(0, 1) + 1) * (n + square) + (shifted ? count * square : 0);
+        // The states and elements before each flow and before the step, if shifted the elements of its loop after it, and what
+        // the loop stores.
+        const int64_t stored = begin_stored(run), states_of_each = count * (slot_of_flow(0, 1) + 1) * (n + square),
+                      ends_of_each = shifted ? count * square : 0, each = states_of_each + ends_of_each + count * stored;
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
@@ -130,14 +182,17 @@ class ForcedSteps {
                 };
                 const auto move = [&](const FlowTime& at, int64_t b) {
                     hold(slot_of_flow(at.flow, at.side), b);
-                    apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
+                    apply(at, b, x.data() + b * n, turned_by(at, groups.data() + b * square));
                 };
                 each_flow(one, 0, start, run.h, move);
                 for (int64_t b = 0; b < count; ++b) hold(slot_of_step(), b);
-                take(one, t, h);
-                if (shifted) std::copy_n(ends.data(), count * square, to + each - count * square);
+                for (int64_t b = 0; stored && b < count; ++b)
+                    if (!kept_of(one).take(b, x.data() + b * n, t, h, threads, to + each - (count - b) * stored))
+                        throw NotDifferentiated();
+                if (!stored) take(one, t, h);
+                std::copy_n(ends.data(), ends_of_each, to + states_of_each);
                 for (int64_t b = 0; shifted && b < count; ++b)
-                    shifted_group(b, shift.at(state_in(to, slot_of_step(), b), h), change.data());
+                    shifted_group(b, of(b).shift.at(state_in(to, slot_of_step(), b), h), change.data());
                 each_flow(one, 1, start, run.h, move);
             });
         }
@@ -164,21 +219,28 @@ class ForcedSteps {
                 const auto pull = [&](const FlowTime& at, int64_t b) {
                     const int64_t slot = slot_of_flow(at.flow, at.side);
                     const double* const state = state_in(from, slot, b);
-                    flows[at.flow]->pull(at, state, ends_of_flows[b], rows + b * n, by_coefficients + b * all.coefficients,
-                                         turned_by(at, element_in(from, slot, b)), of_groups + b * square);
+                    of(b).flows[at.flow]->pull(at, state, ends_of_flows[b], rows + b * n, by_coefficients + b * all.coefficients,
+                                               turned_by(at, element_in(from, slot, b)), of_groups + b * square);
                     ends_of_flows[b] = state;
                 };
                 each_flow(one, 1, start, run.h, pull, true);
+                double* const before = state_in(from, slot_of_step(), 0);
+                double* const element = element_in(from, slot_of_step(), 0);
+                for (int64_t b = 0; b < count; ++b) ends_of_flows[b] = before + b * n;
+                for (int64_t b = 0; stored && b < count; ++b)
+                    kept_of(one).pull(b, from + each - (count - b) * stored, h, threads, rows + b * n,
+                                      of_inner.data() + b * all.inner_coefficients);
+                if (stored) {
+                    each_flow(one, 0, start, run.h, pull, true);
+                    continue;
+                }
                 std::copy_n(rows, count * n, after.data());
                 std::copy_n(of_groups, count * square, group_after.data());
                 std::fill_n(rows, count * n, 0.0);
                 std::fill_n(through.data(), count * n, 0.0);
-                double* const before = state_in(from, slot_of_step(), 0);
-                double* const element = element_in(from, slot_of_step(), 0);
-                for (int64_t b = 0; b < count; ++b) ends_of_flows[b] = before + b * n;
-                if (shifted) std::copy_n(from + each - count * square, count * square, ends.data());
+                std::copy_n(from + states_of_each, ends_of_each, ends.data());
                 for (int64_t b = 0; shifted && b < count; ++b)
-                    shifted_cotangents(b, shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
+                    shifted_cotangents(b, of(b).shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
                                        of_groups + b * square, through.data() + b * n,
                                        by_coefficients + b * all.coefficients + first_factor());
                 std::vector<double>& elements = shifted ? units() : started;
@@ -187,7 +249,7 @@ class ForcedSteps {
                 const BackwardRun of_step{n, square, count, t, h, 0, 1, before, zeros.data(), elements.data(), zeros.data(), 1,
                                           &ONE_STEP, after.data(), group_after.data(), rows, of_element.data(),
                                           of_inner.data(), deviations.data(), 0, threads};
-                derivatives[one.loop](derivatives[one.loop].backward, of_step);
+                carry(one.loop, &InnerDerivative::backward, of_step);
                 if (!shifted) std::copy_n(of_element.data(), count * square, of_groups);
                 for (int64_t i = 0; i < count * n; ++i) rows[i] += through[i];
                 each_flow(one, 0, start, run.h, pull, true);
@@ -201,25 +263,47 @@ class ForcedSteps {
     }
 
   private:
-    const ForcedDerivatives& all;
+    const ForcedDerivatives &all, &tables_of_first;
     const StepTables& tables;
     const ForcedLayout layout;
     const int64_t n, square, d, first, count, threads;
     const bool shifted;
-    ShiftFactor shift;
     std::vector<double> x, groups, started, zeros, change = std::vector<double>(2 * square), ones;
     std::vector<int64_t> status;
     std::vector<double*> states;
-    // One of both for each length, as in runs.
-    std::vector<std::unique_ptr<FinishedStep<double>>> programs;
-    std::vector<std::unique_ptr<InnerStep>> inner;
-    std::vector<std::unique_ptr<Force>> forces;
-    std::vector<InnerDerivative> derivatives;
-    std::vector<std::unique_ptr<ForceDerivative>> flows;
+    std::vector<std::unique_ptr<MemberFlows>> own;  // of each member, or of all
+    std::unique_ptr<InnerLoops> columns;
+    InnerLoops* together = nullptr;  // of all members
     const int64_t work;
     int64_t ONE_STEP = 1;
 
     int64_t first_factor() const { return all.coefficients - all.casimirs; }
+
+    MemberFlows& of(int64_t b) const { return *own[all.apart ? b : 0]; }
+
+    template <class Run>
+    void carry(int64_t loop, InnerDerivative::Carry InnerDerivative::*way, const Run& run) {
+        const auto by = [&](InnerDerivative& one, int64_t begin, int64_t end) { one(one.*way, run, begin, end); };
+        if (together) return by(together->derivatives[loop], 0, count);
+        for (int64_t b = 0; b < count; ++b) by(of(b).loops.derivatives[loop], b, b + 1);
+    }
+
+    Kept& kept_of(const Substep& one) const { return *together->derivatives[one.loop].kept; }
+
+    // How many numbers a step of a member stores, if its loops do, by calls without steps.
+    int64_t begin_stored(const BackwardRun& run) {
+        if (square || !together || columns) return 0;
+        std::vector<double> rows(count * n), of_inner(count * all.inner_coefficients), deviations(count);
+        const BackwardRun none{n, 0, count, run.t0, run.h, 0, 0, zeros.data(), zeros.data(), nullptr, nullptr, 0,
+                               &ONE_STEP, nullptr, nullptr, rows.data(), nullptr, of_inner.data(), deviations.data(), 0, threads};
+        int64_t most = 0;
+        for (InnerDerivative& one : together->derivatives) {
+            if (!one.kept) carry(&one - together->derivatives.data(), &InnerDerivative::backward, none);
+            if (one.kept) most = std::max(most, one.kept->stored());
+            if (!most) one.kept.reset();  // which has room for the steps of that call
+        }
+        return most;
+    }
 
     template <class Run>
     void begin(const Run& run) {
@@ -241,31 +325,32 @@ class ForcedSteps {
     void each_flow(const Substep& one, int64_t side, double start, double h, const Visit& visit, bool backward = false) {
         const bool end = &one == (side ? &layout.substeps.back() : &layout.substeps.front());
         const double begin = start + one.begin * h, half = 0.5 * (one.length * h);
-        const int64_t substep = &one - layout.substeps.data();
-        for (size_t k = 0; k < forces.size(); ++k) {
-            const int64_t j = int64_t((side == 1) != backward ? forces.size() - 1 - k : k);
-            const bool around = forces[j]->around_steps();
-            if (around && !end) continue;
+        const int64_t substep = &one - layout.substeps.data(), flows = int64_t(layout.forces.size());
+        for (int64_t k = 0; k < flows; ++k) {
+            const int64_t j = (side == 1) != backward ? flows - 1 - k : k;
             for (int64_t b = 0; b < count; ++b) {
-                if (around && !forces[j]->acts(start, h, first + b, side)) continue;
-                visit(around ? FlowTime{start, h, j, side, one.loop, first + b, substep}
-                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, first + b, substep}, b);
+                Force& force = *of(b).forces[j];
+                const int64_t member = all.apart ? 0 : first + b;  // whose noise it has
+                const bool around = force.around_steps();
+                if (around && !(end && force.acts(start, h, member, side))) continue;
+                visit(around ? FlowTime{start, h, j, side, one.loop, member, substep}
+                             : FlowTime{side ? begin + half : begin, half, j, side, one.loop, member, substep}, b);
             }
         }
     }
 
     // The element, if a flow moves it.
     double* turned_by(const FlowTime& at, double* element) const {
-        return square && forces[at.flow]->around_steps() ? element : nullptr;
+        return square && own[0]->forces[at.flow]->around_steps() ? element : nullptr;
     }
 
-    void apply(const FlowTime& at, double* state, double* element) {
-        if (forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    void apply(const FlowTime& at, int64_t b, double* state, double* element) {
+        if (of(b).forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
     }
 
     // Of what is held of a substep: the slots of its flows and of the step between them, and a state and an element there.
-    int64_t slot_of_flow(int64_t flow, int64_t side) const { return side ? 2 * int64_t(forces.size()) - flow : flow; }
-    int64_t slot_of_step() const { return int64_t(forces.size()); }
+    int64_t slot_of_step() const { return int64_t(layout.forces.size()); }
+    int64_t slot_of_flow(int64_t flow, int64_t side) const { return side ? 2 * slot_of_step() - flow : flow; }
     double* state_in(double* held, int64_t slot, int64_t b) const { return held + slot * count * (n + square) + b * n; }
     double* element_in(double* held, int64_t slot, int64_t b) const {
         return held + slot * count * (n + square) + count * n + b * square;
@@ -280,20 +365,14 @@ class ForcedSteps {
     // Take a step of the inner loop. `started` are the elements with which it starts, and `groups`, if not shifted, those
     // after it; if shifted `ends` are those after it.
     void take(const Substep& one, double t, double h) {
-        if (const auto& program = programs[one.loop]) {
-            program->take(x.data(), t, h, true);
-            if (int64_t(program->status) != DONE) throw NotDifferentiated();
-            return;
-        }
         started = shifted ? units() : groups;
         if (shifted) ends = started;
-        InnerStep& step = *inner[one.loop];
-        if (!square && count > 1) {
+        if (!square && count > 1 && together) {
             for (int64_t b = 0; b < count; ++b) states[b] = x.data() + b * n;
-            step.take_all(states.data(), count, t, h, status.data());
+            together->steps[one.loop]->take_all(states.data(), count, t, h, status.data());
         } else {
             for (int64_t b = 0; b < count; ++b)
-                status[b] = step.take(x.data() + b * n, (shifted ? ends : groups).data() + b * square, t, h);
+                status[b] = of(b).loops.take(one.loop, x.data() + b * n, (shifted ? ends : groups).data() + b * square, t, h);
         }
         for (int64_t b = 0; b < count; ++b)
             if (status[b] != DONE) throw NotDifferentiated();
@@ -335,7 +414,7 @@ class ForcedSteps {
         add_matrix_product(d, 1.0, transposed.data(), whole.data(), pulled.data());
         transpose_matrix(d, group, transposed.data());
         add_matrix_product(d, 1.0, pulled.data(), transposed.data(), of_factor.data());
-        shift.pull(of_factor.data(), of_x, of_factors);
+        of(b).shift.pull(of_factor.data(), of_x, of_factors);
         // of s: F^T G^T W
         transpose_matrix(d, factor, transposed.data());
         std::fill_n(of_group, square, 0.0);

@@ -23,6 +23,16 @@ namespace {
 // the coefficient of each; and the blocks of the rows as `project_on_blocks` reads them.
 enum SlopeIndex { COEFFICIENTS = GENERAL + 1, SLOPES, SLOPE_NUMBERS, SLOPE_SIZE, SLOPE_COEFFICIENTS };
 
+// Visit the substeps of a step: with their beginning, length and number in the run.
+template <class Run, class Visit>
+void each_substep(const Stepping& tables, const Run& run, int64_t k, bool backward, const Visit& visit) {
+    for (int64_t p = 0; p < tables.substeps; ++p) {
+        const int64_t part = backward ? tables.substeps - 1 - p : p;
+        visit(run.t0 + double(k - 1) * run.h + tables.moment[part] * run.h, tables.fraction[part] * run.h,
+              (k - run.k0 - 1) * tables.substeps + part);
+    }
+}
+
 template <class T>
 class StepDerivative final : public SkewStep<T>, public Kept {
     typedef SkewStep<T> Base;
@@ -34,6 +44,7 @@ class StepDerivative final : public SkewStep<T>, public Kept {
     enum { POINT, MIDDLE, STATE_FACTOR, OWN, BEHIND, GIVEN, UNKNOWN, ADDED, OF_STAGE };
     static constexpr int64_t HISTORY = 8, MOST_HISTORIES = 8;  // earlier steps, of as many vectors
 
+    const Stepping& stepping;
     const StepTables& tables;
     std::unique_ptr<StepScheme> scheme;
     std::deque<Stream<T>> slopes;
@@ -56,7 +67,7 @@ class StepDerivative final : public SkewStep<T>, public Kept {
     const int64_t coefficients, held;  // held: numbers of Z of a step
 
     StepDerivative(const Stepping& stepping, int64_t vectors)
-        : Base(stepping.tables, FIRST_STAGE + OF_STAGE * stepping.tables.whole[STAGES]), tables(stepping.tables),
+        : Base(stepping.tables, FIRST_STAGE + OF_STAGE * stepping.tables.whole[STAGES]), stepping(stepping), tables(stepping.tables),
           scheme(reinterpret_cast<StepScheme* (*)(const StepTables&, const MemberConstants&)>(stepping.step[0])(
               tables, MemberConstants{1, 0})),
           images(stages * numbers), points(images), given(images), row(all), vectors(std::min(vectors, MOST_HISTORIES)),
@@ -84,6 +95,56 @@ class StepDerivative final : public SkewStep<T>, public Kept {
         return scheme->step(x, dx, nullptr, nullptr, t, h);
     }
     void store_changes(double h, double* to) override { static_cast<Base&>(*scheme).store_changes(h, to); }
+
+    // The number k of the steps of a run, of the member with which it began: store the states and Z of its substeps.
+    template <class Run>
+    void take_step(const Run& run, int64_t k, double* x, double* dx, double* to) {
+        each_substep(stepping, run, k, false, [&](double t, double h, int64_t number) {
+            InterruptCheck::of_this_call().after(this->work);
+            double* const own = to + number * (numbers + held);
+            std::copy_n(x, numbers, own);
+            if (step(x, dx, nullptr, nullptr, t, h) != DONE) throw NotSolved();
+            store_changes(h, own + numbers);
+        });
+    }
+    template <class Run>
+    void pull_step(const Run& run, int64_t k, const double* from, double* cotangent, double* by_coefficients) {
+        each_substep(stepping, run, k, true, [&](double, double h, int64_t number) {
+            InterruptCheck::of_this_call().after(this->work);
+            const double* const own = from + number * (numbers + held);
+            prepare(own, own + numbers, h, true);
+            pull(cotangent, h, by_coefficients);
+        });
+    }
+
+    struct OneStep {
+        double t0, h;
+        int64_t k0 = 0;
+    };
+    int64_t stored() const override { return stepping.substeps * (numbers + held); }
+    bool take(int64_t member, double* x, double t, double h, int64_t threads, double* to) override {
+        AlignedArray<double> state((numbers + 7) / 8 * 8), rest((numbers + 7) / 8 * 8);
+        std::copy_n(x, numbers, state.at), std::fill_n(rest.at, numbers, 0.0);
+        begin(member, true);
+        SharedSteps shared_steps(threads, numbers);
+        shared_steps.begin();
+        try {
+            take_step(OneStep{t, h}, 1, state.at, rest.at, to);
+        } catch (const NotSolved&) {
+            return false;
+        }
+        shared_steps.end();
+        std::copy_n(state.at, numbers, x);
+        return true;
+    }
+    void pull(int64_t member, const double* from, double h, int64_t threads, double* cotangent,
+              double* by_coefficients) override {
+        begin(member, true);
+        SharedSteps shared_steps(threads, numbers);
+        shared_steps.begin_as_measured();
+        pull_step(OneStep{0.0, h}, 1, from, cotangent, by_coefficients);
+        shared_steps.end_as_measured();
+    }
 
     // Prepare the step from a state with these Z.
     void prepare(const double* W, const double* Z, double h, bool backward) {
@@ -385,16 +446,6 @@ class StepDerivative final : public SkewStep<T>, public Kept {
     }
 };
 
-// Visit the substeps of a step: with their beginning, length and number in the run.
-template <class Run, class Visit>
-void each_substep(const Stepping& tables, const Run& run, int64_t k, bool backward, const Visit& visit) {
-    for (int64_t p = 0; p < tables.substeps; ++p) {
-        const int64_t part = backward ? tables.substeps - 1 - p : p;
-        visit(run.t0 + double(k - 1) * run.h + tables.moment[part] * run.h, tables.fraction[part] * run.h,
-              (k - run.k0 - 1) * tables.substeps + part);
-    }
-}
-
 template <class T>
 int64_t carry_of(const Stepping& tables, const ForwardRun& run, int64_t first, int64_t last,
                  InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
@@ -432,27 +483,22 @@ int64_t carry_of(const Stepping& tables, const ForwardRun& run, int64_t first, i
 }
 
 template <class T>
-int64_t carry_of(const Stepping& tables, const BackwardRun& run, int64_t first, int64_t last,
-                 InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
+int64_t carry_of(const Stepping& tables, const BackwardRun& run, int64_t first, int64_t last, InterruptCheck&,
+                 std::unique_ptr<Kept>* kept) {
     std::unique_ptr<Kept> own;
     std::unique_ptr<Kept>& found = kept ? *kept : own;
     if (!found) found.reset(new StepDerivative<T>(tables, 1));
     StepDerivative<T>& one = static_cast<StepDerivative<T>&>(*found);
-    const int64_t n = run.size, count = one.coefficients, total = (run.k1 - run.k0) * tables.substeps;
+    const int64_t n = run.size, count = one.coefficients;
     AlignedArray<double> x((n + 7) / 8 * 8), dx((n + 7) / 8 * 8);
-    std::vector<double> states(total * n), changes(total * one.held);
+    std::vector<double> steps((run.k1 - run.k0) * one.stored());
     for (int64_t member = first; member < last; ++member) {
         std::copy_n(run.momenta + member * n, n, x.at), std::copy_n(run.errors + member * n, n, dx.at);
         one.begin(member, kept != nullptr);
         SharedSteps shared_steps(run.threads, n);
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             shared_steps.begin();
-            each_substep(tables, run, k, false, [&](double t, double h, int64_t number) {
-                interrupts.after(one.work);
-                std::copy_n(x.at, n, states.data() + number * n);
-                if (one.step(x.at, dx.at, nullptr, nullptr, t, h) != DONE) throw NotSolved();
-                one.store_changes(h, changes.data() + number * one.held);
-            });
+            one.take_step(run, k, x.at, dx.at, steps.data());
             shared_steps.end();
         }
         double* const cotangent = run.cotangents + member * n;
@@ -463,11 +509,7 @@ int64_t carry_of(const Stepping& tables, const BackwardRun& run, int64_t first, 
                 const double* const saved = run.at_points + (--mark * run.members + member) * n;
                 for (int64_t i = 0; i < n; ++i) cotangent[i] += saved[i];
             }
-            each_substep(tables, run, k, true, [&](double, double h, int64_t number) {
-                interrupts.after(one.work);
-                one.prepare(states.data() + number * n, changes.data() + number * one.held, h, true);
-                one.pull(cotangent, h, run.coefficients + member * count);
-            });
+            one.pull_step(run, k, steps.data(), cotangent, run.coefficients + member * count);
             shared_steps.end_as_measured();
         }
     }

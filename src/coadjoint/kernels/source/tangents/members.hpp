@@ -13,6 +13,14 @@ namespace coadjoint {
 // What a loop keeps from one call inside of another loop to the next.
 struct Kept {
     virtual ~Kept() = default;
+    // Of loops whose steps solve equations: how many numbers the cotangents of a step need, a step of a member that stores
+    // them, and whether it is solved, and the cotangents of that step.
+    virtual int64_t stored() const { return 0; }
+    virtual bool take(int64_t, double* /* x */, double /* t */, double /* h */, int64_t /* threads */, double* /* to */) {
+        return false;
+    }
+    virtual void pull(int64_t, const double* /* stored */, double /* h */, int64_t /* threads */, double* /* cotangent */,
+                      double* /* by_coefficients */) {}
 };
 
 // That of blocks of members, and of all members that are alone.
@@ -43,7 +51,7 @@ int64_t run_in_lanes(const FlowCotangents& tables, const Run& run, int64_t first
         while (first < last && (tables.stride || (run.size <= WIDEST && last - first >= MIN_LANES))) {
             const int64_t count = std::min<int64_t>(lanes, last - first);
             if (tables.stride)
-                take(std::true_type(), LaneConstants{tables.stride, first}, count);
+                take(std::true_type(), LaneConstants{tables.stride, tables.column + first}, count);
             else
                 take(std::true_type(), SharedConstants{}, count);
             first += count, ++block;
