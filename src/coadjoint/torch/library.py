@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ class TorchLibrary(ArrayLibrary):
 
     library, module, xp = "PyTorch", _pytree, torch
     float64_hint = ", which modules have by module.double()"
+    tree_hint = "; those of a module are dict(module.named_parameters())"
     vjp, jvp = staticmethod(torch.func.vjp), staticmethod(torch.func.jvp)
     expm, product = staticmethod(torch.linalg.matrix_exp), staticmethod(torch.matmul)
 
@@ -160,11 +162,21 @@ class TorchRoot(OwnedParams, ParametrizedRoot):
     caller = "co.torch.double_bracket"
 
 
+def as_it_is(module: Any) -> Any:
+    """Return a module with the same tensors that keeps its modes, such as that of dropout, if these are changed."""
+    found = {one: copy.copy(one) for one in module.modules()}
+    for one in found.values():
+        parts = {name: getattr(one, name).copy() for name in ("_parameters", "_buffers", "_modules")}
+        parts["_modules"].update({name: found.get(part) for name, part in one._modules.items()})
+        one.__dict__.update(parts)
+    return found[module]
+
+
 class ModuleFunction:
     """A module as a function of (x, params), or (x, params, t), by `torch.func.functional_call`."""
 
     def __init__(self, module: Any, caller: str) -> None:
-        self.module, self.__name__ = module, type(module).__name__
+        self.module, self.__name__ = as_it_is(module), type(module).__name__
         given = [one.name for one in parameters_of_function(module.forward)]
         if len(given) not in (1, 2):
             raise TypeError(f"{caller} was given a module of ({', '.join(given)}); it must be one of (x) or (x, t)")

@@ -471,6 +471,24 @@ def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
         co.fit(body((1.0, 2.0, 2.4)), (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, {"inertia": (2,)}, 10, **options)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_attitudes_of_the_other_direction_are_named_where_they_leave_unknowns_undetermined():
+    """Of a damped body the point reached is far away, and there the measurements determine nothing."""
+    rng = np.random.default_rng(132)
+
+    def body(inertia):
+        damped = co.systems.rigid_body(inertia).with_forces(co.forces.LinearDamping(0.03))
+        return co.prepare(damped, co.Splitting(order=2), 0.1, attitude=True)
+
+    x0, turned = rng.standard_normal(3), Rotation.from_rotvec(rng.standard_normal(3))
+    exact = body((1, 1.8, 2.4)).run(x0, (0, 4), 5, attitude=turned.as_matrix()).rotation
+    log = (exact * Rotation.from_rotvec(0.01 * rng.standard_normal((len(exact), 3)))).inv()
+    unknown = {"x0": True, "inertia": (0, 1), "LinearDamping.rate": True}
+    options = {"sigma": {"attitude": 0.01}, "attitude": log[0].as_matrix()}
+    with refused(ValueError, "inverses", "space to body"):
+        co.fit(body((1, 1.7, 2.6)), x0, (0, 4), {"attitude": log}, unknown, 5, **options)
+
+
 def test_quaternions_are_refused_with_the_rotations_to_give():
     """Their order is not guessed."""
     ready = co.prepare(co.systems.rigid_body((1.0, 2.0, 2.5)), co.Splitting(), 0.1, attitude=True)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import parameters_of_function, without_multiples
 from coadjoint.validation import is_of_torch
@@ -28,6 +29,7 @@ class ArrayLibrary(ABC):
     module: Any
     xp: Any
     float64_hint: str
+    tree_hint: ClassVar[str] = ""
     vjp: Callable[..., Any]
     jvp: Callable[..., Any]
     expm: Callable[..., Any]
@@ -45,7 +47,8 @@ class ArrayLibrary(ABC):
         found, tree = self.read(params, "the run"), self.module
         own, given = tree.tree_structure(known), tree.tree_structure(found)
         if own != given:
-            raise ValueError(f"params have the structure {short(given)}; it must be {own}, {source}")
+            needed = in_one_line(str(own), 160)
+            raise ValueError(f"params have the structure {short(given)}; it must be {needed}, {source}{self.tree_hint}")
         for (path, mine), one in zip(tree.tree_leaves_with_path(known), tree.tree_leaves(found), strict=True):
             if mine.shape != one.shape:
                 raise ValueError(
@@ -139,6 +142,9 @@ class ParametrizedFunction:
                 "this order"
             )
         return [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("x", "t")[: len(names) - 1]]
+
+    def __repr__(self) -> str:
+        return f"{self.caller}({self.__name__})"
 
     def __call__(self, x: Any, *time: Any) -> Any:
         """Return the value at the params given."""

@@ -82,10 +82,15 @@ def check_traceable(function: Callable[..., Any], n: int, timed: bool) -> None:
 
     try:
         result = jax.eval_shape(function, *((np.zeros(n), 0.0) if timed else (np.zeros(n),)))
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as reason:
+        raise TypeError(
+            f"JAX cannot trace the Hamiltonian ({type(reason).__name__}: {in_one_line(str(reason), 160)}); compute "
+            "with jax.numpy only"
+        ) from reason
     except Exception as reason:
         raise TypeError(
-            f"JAX cannot trace the Hamiltonian, which returns an array of JAX ({type(reason).__name__}: "
-            f"{in_one_line(str(reason), 160)}); compute with jax.numpy only"
+            f"the Hamiltonian fails at a state of the shape ({n},) ({type(reason).__name__}: "
+            f"{in_one_line(str(reason), 160)}); it takes one state of {n} coordinates, before params and time if any"
         ) from reason
     if result.shape != () or result.dtype != np.float64:
         raise TypeError(

@@ -59,10 +59,12 @@ def system_of(declared: Declaration) -> dict[str, Any]:
     axes = _axes_of_symmetry(declared)
     known = axes is not None and not declared.dipolar
     squares = K if axes is None else np.concatenate([K, axes])
+    parameters = _parameters(count, edges, blocks, on_site, field, mu) if plain else None
     return {
         "hamiltonian": H,
         **on_spins(count, mu),
-        "parameters": _parameters(count, edges, blocks, on_site, field, mu) if plain else None,
+        **({"name": "spins"} if parameters is None else {}),  # others are stored as the `spin_lattice` that they are
+        "parameters": parameters,
         "exact": exact,
         "integrals": KnownInvariants(total_spins(count, T, np.zeros(3), squares, field, uniform, mu)) if known else {},
         "layout": {"lattice": "graph"},
