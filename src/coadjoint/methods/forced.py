@@ -181,8 +181,8 @@ class Forced(Wrapper):
 
     @property
     def stored_states(self) -> int:
-        """Those before and after the flows of forces in each substep, and those of a step of the base."""
-        return 3 * len(self.fractions) + self.base.stored_states
+        """Of one force: before each flow and the step of each substep, with midpoints; and those of a step of the base."""
+        return 6 * len(self.fractions) + self.base.stored_states
 
     @property
     def order(self) -> int:

@@ -61,7 +61,7 @@ class ForcedSteps {
         double* const vectors = run.tangents + first * carried * n;
         double* const of_groups = run.group_tangents + first * carried * square;
         std::vector<double> moved(count * carried * n), after(count * carried * square), started_with(after), changes,
-            product(square), start(n), before_turn(square), before, along_momenta;
+            product(square), start(n), midpoint, before_turn(square), before, along_momenta;
         begin(run);
         int64_t mark = 0;
         const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
@@ -70,8 +70,9 @@ class ForcedSteps {
             double* const element = turned_by(at, groups.data() + b * square);
             std::copy_n(state, n, start.data());
             if (element) std::copy_n(element, square, before_turn.data());
-            apply(at, state, element);
-            flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
+            midpoint = start;
+            apply(at, state, element, midpoint.data());
+            flows[at.flow]->push(at, start.data(), state, midpoint_of(at, midpoint.data()), vectors + b * carried * n, carried, along(b),
                                  element ? before_turn.data() : nullptr, of_groups + b * carried * square);
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
@@ -113,8 +114,12 @@ class ForcedSteps {
 
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
-        // The states and elements before each flow and before the step, and, if shifted, the elements of its loop after it.
-        const int64_t each = count * (slot_of_flow(0, 1) + 1) * (n + square) + (shifted ? count * square : 0);
+        // The states and elements before each flow and before the step, and the midpoints of flows, if some have any, and, if
+        // shifted, the elements of its loop after the step.
+        bool midpoints = false;
+        for (const auto& force : forces) midpoints = midpoints || force->has_midpoint();
+        const int64_t slots = slot_of_flow(0, 1) + 1, first_midpoint = count * slots * (n + square);
+        const int64_t each = first_midpoint + (midpoints ? count * slots * n : 0) + (shifted ? count * square : 0);
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
@@ -129,8 +134,11 @@ class ForcedSteps {
                     std::copy_n(groups.data() + b * square, square, element_in(to, slot, b));
                 };
                 const auto move = [&](const FlowTime& at, int64_t b) {
-                    hold(slot_of_flow(at.flow, at.side), b);
-                    apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square));
+                    const int64_t slot = slot_of_flow(at.flow, at.side);
+                    double* const middle = to + first_midpoint + (slot * count + b) * n;
+                    hold(slot, b);
+                    if (midpoints) std::copy_n(x.data() + b * n, n, middle);
+                    apply(at, x.data() + b * n, turned_by(at, groups.data() + b * square), middle);
                 };
                 each_flow(one, 0, start, run.h, move);
                 for (int64_t b = 0; b < count; ++b) hold(slot_of_step(), b);
@@ -164,8 +172,10 @@ class ForcedSteps {
                 const auto pull = [&](const FlowTime& at, int64_t b) {
                     const int64_t slot = slot_of_flow(at.flow, at.side);
                     const double* const state = state_in(from, slot, b);
-                    flows[at.flow]->pull(at, state, ends_of_flows[b], rows + b * n, by_coefficients + b * all.coefficients,
-                                         turned_by(at, element_in(from, slot, b)), of_groups + b * square);
+                    flows[at.flow]->pull(at, state, ends_of_flows[b],
+                                         midpoint_of(at, from + first_midpoint + (slot * count + b) * n), rows + b * n,
+                                         by_coefficients + b * all.coefficients, turned_by(at, element_in(from, slot, b)),
+                                         of_groups + b * square);
                     ends_of_flows[b] = state;
                 };
                 each_flow(one, 1, start, run.h, pull, true);
@@ -258,8 +268,14 @@ class ForcedSteps {
         return square && forces[at.flow]->around_steps() ? element : nullptr;
     }
 
-    void apply(const FlowTime& at, double* state, double* element) {
+    // Apply a flow, and store its midpoint, if it has one.
+    void apply(const FlowTime& at, double* state, double* element, double* midpoint) {
         if (forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+        if (forces[at.flow]->has_midpoint()) forces[at.flow]->copy_midpoint(midpoint);
+    }
+
+    const double* midpoint_of(const FlowTime& at, const double* stored) const {
+        return forces[at.flow]->has_midpoint() ? stored : nullptr;
     }
 
     // Of what is held of a substep: the slots of its flows and of the step between them, and a state and an element there.
