@@ -181,7 +181,7 @@ class Forced(Wrapper):
 
     @property
     def stored_states(self) -> int:
-        """Of one force: before each flow and the step of each substep, with midpoints; and those of a step of the base."""
+        """For one force those before its flows and the step, with midpoints, in each substep; and those of the base."""
         return 6 * len(self.fractions) + self.base.stored_states
 
     @property
