@@ -181,8 +181,8 @@ class Forced(Wrapper):
 
     @property
     def stored_states(self) -> int:
-        """Those before and after the flows of forces in each substep, and those of its step."""
-        return (3 + self.inner.stored_states) * len(self.fractions)
+        """For one force those before its flows and the step, with midpoints, in each substep, and those of its step."""
+        return (6 + self.inner.stored_states) * len(self.fractions)
 
     @property
     def order(self) -> int:

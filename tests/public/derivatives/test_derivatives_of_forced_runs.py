@@ -193,6 +193,27 @@ def test_noise_without_second_derivatives_is_not_differentiated_with_an_attitude
     assert np.isfinite(co.prepare(system, co.Splitting(), H).jvp(X3, (0.0, 1.0), {"x0": X3})[1].x).all()
 
 
+def test_a_spin_with_almost_no_damping_does_not_hide_another_one():
+    """Two spins without coupling, whose fixed points converge in one iteration and in twenty: for the first one, whose
+    numbers are far larger, changes are round-off before those of the other one are. Against differences of order four.
+    """
+    spins = co.systems.spin_lattice("chain", 2, exchange=0.0, field=(0.0, 0.0, 1.0))
+    system = spins.with_forces(F.DoubleBracketDamping(1.0, metric=np.diag(np.repeat([1e-5, 1.0], 3))))
+    x0, w, h, d = np.array([0.6, 0.0, 0.8, 0.0, 0.8, -0.6]), np.array([0.3, -0.5, 0.7, 0.2, 0.4, -0.6]), 1.2, 1e-5
+    ready = co.prepare(system, co.Splitting(), h)
+
+    def at(x):
+        return w @ ready.run(x, (0.0, h)).x[-1]
+
+    moves = d * np.eye(6)
+    wanted = [(8 * (at(x0 + v) - at(x0 - v)) - at(x0 + 2 * v) + at(x0 - 2 * v)) / (12 * d) for v in moves]
+    sizes = np.repeat([1.0, 1e-9], 3)
+    _, pullback = ready.vjp(x0, (0.0, h))
+    found = pullback(np.stack([np.zeros(6), sizes * w]))["x0"] / sizes
+    # Round-off of the first one is up to 1e-6 of what is solved for the other.
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+
+
 def test_noise_and_damping_of_spins_take_bounded_work():
     """They are differentiated by the kernels: in Python a flow took ten milliseconds, and a noise half of one."""
     system = RING.with_forces(F.Gilbert(0.1, temperature=0.5, seed=7), F.RandomField(0.1, seed=1))
@@ -385,7 +406,7 @@ def test_dampings_of_matrices_take_bounded_work():
     ],
 )
 def test_substeps_of_several_lengths_decay_by_their_own_lengths(fluid, force):
-    """Of modes of a fluid, around steps forward and backward: the derivatives are those of the run."""
+    """Of modes of a fluid, around steps forward and backward, by the state and by the strength of the force."""
     s, rng = co.systems.get(fluid, N=5), np.random.default_rng(2)
     x0, direction, weight = (
         s.algebra.projected(rng.standard_normal((5, 5)) + 1j * rng.standard_normal((5, 5))) for _ in range(3)
@@ -398,10 +419,16 @@ def test_substeps_of_several_lengths_decay_by_their_own_lengths(fluid, force):
     sol, pullback = ready.vjp(x0, span)
     weights = np.zeros_like(sol.x)
     weights[-1] = weight
-    gradient = pullback(weights)["x0"]
+    gradient = pullback(weights)
     np.testing.assert_allclose(
-        np.sum(gradient.conj() * direction).real, np.sum(weight.conj() * wanted).real, rtol=0, atol=1e-7
+        np.sum(gradient["x0"].conj() * direction).real, np.sum(weight.conj() * wanted).real, rtol=0, atol=1e-7
     )
+    for name in gradient.keys() - {"x0", "rotation"}:
+        field = name.split(".")[1]
+        moved = (replace(force, **{field: getattr(force, field) + sign * d}) for sign in (1, -1))
+        ahead, behind = (co.prepare(s.with_forces(one), COMPOSED, 0.05).run(x0, span).x[-1] for one in moved)
+        wanted = np.sum(weight.conj() * (ahead - behind)).real / (2 * d)
+        np.testing.assert_allclose(gradient[name], wanted, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-7, 1e30])

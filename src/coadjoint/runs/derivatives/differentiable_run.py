@@ -220,9 +220,11 @@ class Trajectory:
         length, bytes_of_each = max(1, NUMBERS_OF_SEGMENT // (numbers * side_by_side)), 16 * numbers * self.members
         length = max(length, min(STEPS_OF_SEGMENT, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
+        stored = scheme.stored_states
+        if flows := len(self.system.of_member(0).flows):
+            stored += 4 * (flows - 1) * len(cast(Forced, scheme.fixed_steps).fractions)
         check_available_memory(
-            bytes_of_each * (steps // length + 1)
-            + 8 * numbers * lanes * (scheme.stored_states * min(length, steps) + 1),
+            bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * (stored * min(length, steps) + 1),
             f"the states of {steps} steps of {self.members} members, from which they are repeated,",
         )
         return length

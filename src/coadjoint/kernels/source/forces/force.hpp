@@ -83,6 +83,10 @@ class Force {
     bool measures() const { return spins && spins->measures(); }
     double change() const { return spins->change; }
 
+    // Whether the flow is a midpoint rule of spins; copy those of the last one to their coordinates.
+    bool has_midpoint() const { return bool(spins); }
+    void copy_midpoint(double* to) const { spins->copy_midpoint(to); }
+
   private:
     template <class C>
     friend class ForceLanes;

@@ -75,7 +75,7 @@ class ModeForce {
 
     // The factors of `relax`, of each mode in each change.
     std::vector<Complex> factors(double tau) {
-        if (prepared_for != tau) prepare(tau);
+        prepare(tau);
         const int64_t count = modes.count();
         std::vector<Complex> found(table.function[0] * count);
         for (int64_t i = 0; i < int64_t(found.size()); ++i)

@@ -43,6 +43,13 @@ class SpinBath {
     explicit operator bool() const { return usable; }
 
     bool measures() const { return !rows.empty(); }
+
+    // Copy the midpoints of the last flow to their coordinates.
+    void copy_midpoint(double* to) const {
+        for (int a = 0; a < 3; ++a)
+            for (int64_t s = 0; s < spins.size(); ++s) to[spins.coordinate[a][s]] = midpoint[a * stride + s];
+    }
+
     int64_t size() const { return spins.size(); }
 
     // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`. Threads wait
@@ -106,6 +113,7 @@ class SpinBath {
     bool adds = false;  // whether multiples of the Hamiltonian field are added, and rates divided by lengths of spins
     Components start, middle, next, slope, metric, root, turn, largest, inverse, added;
     std::vector<double> deviates, gradients, point;
+    const double* midpoint = nullptr;  // of the last flow, by component
 
     double amplitude() const { return constants.number_at<double>(table.amplitude, 0); }
 
@@ -228,7 +236,7 @@ class SpinBath {
             if (rows.empty()) general_gradient(y, t, workspace);
             double* const better = y == middle.at ? next.at : middle.at;
             residual = largest_of([&](int64_t first, int64_t last) { return iterate(y, tau, first, last, better); });
-            y = better;
+            midpoint = y = better;
             if (!(residual - residual == 0.0)) return OVERFLOWED;
             if (iterations == 1) first = residual;
             // Stop if the next correction, extrapolated, is round-off, or if corrections are, and have stopped falling.

@@ -58,8 +58,9 @@ class ForceDerivative {
     }
 
     // Replace vectors (count, n) at a state, which the flow moves to `end`, by their tangents after it, along directions
-    // (count, all coefficients). A flow around a step also moves the `element` of the group, and so its tangents (count, d, d).
-    void push(const FlowTime& at, const double* x, const double* end, double* vectors, int64_t count,
+    // (count, all coefficients). Its midpoint is given if it has one. A flow around a step also moves the `element` of the
+    // group, and so its tangents (count, d, d).
+    void push(const FlowTime& at, const double* x, const double* end, const double* middle, double* vectors, int64_t count,
               const double* directions, const double* element = nullptr, double* of_elements = nullptr) {
         const double* const own = directions + table.first;
         images.resize(count * n);
@@ -70,7 +71,8 @@ class ForceDerivative {
         if (table.kind == derivatives::AFFINE) push_affine(at, x, vectors, count, own);
         if (along && !whole) std::copy_n(images.data(), count * n, vectors);
         if (law) law->push(x, at.t, at.tau, vectors, count, own, all.coefficients);
-        if (orbit && !orbit->push(x, end, at.t, at.tau, at.member, vectors, count, own, all.coefficients)) throw NotDifferentiated();
+        if (orbit && !orbit->push(x, end, middle, at.t, at.tau, at.member, vectors, count, own, all.coefficients))
+            throw NotDifferentiated();
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients, element, of_elements))
             throw NotDifferentiated();
         if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
@@ -99,8 +101,8 @@ class ForceDerivative {
     }
 
     // Replace the cotangent of the `end` after the flow by that of the state x before; add those of the coefficients.
-    void pull(const FlowTime& at, const double* x, const double* end, double* row, double* by_coefficients,
-              const double* element = nullptr, double* of_element = nullptr) {
+    void pull(const FlowTime& at, const double* x, const double* end, const double* middle, double* row,
+              double* by_coefficients, const double* element = nullptr, double* of_element = nullptr) {
         double* const own = by_coefficients + table.first;
         images.resize(n);
         const auto vector_of = [&](int64_t v) {
@@ -122,7 +124,7 @@ class ForceDerivative {
         if (table.kind == derivatives::AFFINE) pull_affine(at, x, row, own);
         if (along && !whole) std::copy_n(images.data(), n, row);
         if (law) law->pull(x, at.t, at.tau, row, own);
-        if (orbit && !orbit->pull(x, end, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
+        if (orbit && !orbit->pull(x, end, middle, at.t, at.tau, at.member, row, own)) throw NotDifferentiated();
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own, element, of_element))
             throw NotDifferentiated();
         if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();

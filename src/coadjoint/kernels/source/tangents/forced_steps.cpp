@@ -111,7 +111,7 @@ class ForcedSteps {
         double* const vectors = run.tangents + first * carried * n;
         double* const of_groups = run.group_tangents + first * carried * square;
         std::vector<double> moved(count * carried * n), after(count * carried * square), started_with(after), changes,
-            product(square), start(n), before_turn(square), before, along_momenta;
+            product(square), start(n), midpoint, before_turn(square), before, along_momenta;
         begin(run);
         int64_t mark = 0;
         const auto along = [&](int64_t b) { return directions + (run.apart ? b * carried * all.coefficients : 0); };
@@ -120,8 +120,9 @@ class ForcedSteps {
             double* const element = turned_by(at, groups.data() + b * square);
             std::copy_n(state, n, start.data());
             if (element) std::copy_n(element, square, before_turn.data());
-            apply(at, b, state, element);
-            of(b).flows[at.flow]->push(at, start.data(), state, vectors + b * carried * n, carried, along(b),
+            midpoint = start;
+            apply(at, b, state, element, midpoint.data());
+            of(b).flows[at.flow]->push(at, start.data(), state, midpoint_of(at, midpoint.data()), vectors + b * carried * n, carried, along(b),
                                  element ? before_turn.data() : nullptr, of_groups + b * carried * square);
         };
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
@@ -163,10 +164,13 @@ class ForcedSteps {
 
     void backward(const BackwardRun& run) {
         const int64_t substeps = int64_t(layout.substeps.size()), total = (run.k1 - run.k0) * substeps;
-        // The states and elements before each flow and before the step, if shifted the elements of its loop after it, and what
-        // the loop stores.
-        const int64_t stored = begin_stored(run), states_of_each = count * (slot_of_flow(0, 1) + 1) * (n + square),
-                      ends_of_each = shifted ? count * square : 0, each = states_of_each + ends_of_each + count * stored;
+        // The states and elements before each flow and before the step, the midpoints of flows, if some have any, if shifted the
+        // elements of the loop after the step, and what it stores.
+        const auto& forces = own[0]->forces;
+        const bool midpoints = std::any_of(forces.begin(), forces.end(), [](const auto& one) { return one->has_midpoint(); });
+        const int64_t slots = slot_of_flow(0, 1) + 1, stored = begin_stored(run), first_midpoint = count * slots * (n + square),
+                      first_end = first_midpoint + (midpoints ? count * slots * n : 0), ends_of_each = shifted ? count * square : 0,
+                      each = first_end + ends_of_each + count * stored;
         std::vector<double> held(total * each);
         const auto held_at = [&](int64_t k, const Substep& one) {
             return held.data() + ((k - run.k0 - 1) * substeps + (&one - layout.substeps.data())) * each;
@@ -181,8 +185,11 @@ class ForcedSteps {
                     std::copy_n(groups.data() + b * square, square, element_in(to, slot, b));
                 };
                 const auto move = [&](const FlowTime& at, int64_t b) {
-                    hold(slot_of_flow(at.flow, at.side), b);
-                    apply(at, b, x.data() + b * n, turned_by(at, groups.data() + b * square));
+                    const int64_t slot = slot_of_flow(at.flow, at.side);
+                    double* const middle = to + first_midpoint + (slot * count + b) * n;
+                    hold(slot, b);
+                    if (midpoints) std::copy_n(x.data() + b * n, n, middle);
+                    apply(at, b, x.data() + b * n, turned_by(at, groups.data() + b * square), middle);
                 };
                 each_flow(one, 0, start, run.h, move);
                 for (int64_t b = 0; b < count; ++b) hold(slot_of_step(), b);
@@ -190,7 +197,7 @@ class ForcedSteps {
                     if (!kept_of(one).take(b, x.data() + b * n, t, h, threads, to + each - (count - b) * stored))
                         throw NotDifferentiated();
                 if (!stored) take(one, t, h);
-                std::copy_n(ends.data(), ends_of_each, to + states_of_each);
+                std::copy_n(ends.data(), ends_of_each, to + first_end);
                 for (int64_t b = 0; shifted && b < count; ++b)
                     shifted_group(b, of(b).shift.at(state_in(to, slot_of_step(), b), h), change.data());
                 each_flow(one, 1, start, run.h, move);
@@ -219,8 +226,10 @@ class ForcedSteps {
                 const auto pull = [&](const FlowTime& at, int64_t b) {
                     const int64_t slot = slot_of_flow(at.flow, at.side);
                     const double* const state = state_in(from, slot, b);
-                    of(b).flows[at.flow]->pull(at, state, ends_of_flows[b], rows + b * n, by_coefficients + b * all.coefficients,
-                                               turned_by(at, element_in(from, slot, b)), of_groups + b * square);
+                    const double* const middle = midpoint_of(at, from + first_midpoint + (slot * count + b) * n);
+                    of(b).flows[at.flow]->pull(at, state, ends_of_flows[b], middle, rows + b * n,
+                                               by_coefficients + b * all.coefficients, turned_by(at, element_in(from, slot, b)),
+                                               of_groups + b * square);
                     ends_of_flows[b] = state;
                 };
                 each_flow(one, 1, start, run.h, pull, true);
@@ -238,7 +247,7 @@ class ForcedSteps {
                 std::copy_n(of_groups, count * square, group_after.data());
                 std::fill_n(rows, count * n, 0.0);
                 std::fill_n(through.data(), count * n, 0.0);
-                std::copy_n(from + states_of_each, ends_of_each, ends.data());
+                std::copy_n(from + first_end, ends_of_each, ends.data());
                 for (int64_t b = 0; shifted && b < count; ++b)
                     shifted_cotangents(b, of(b).shift.at(before + b * n, h), element + b * square, group_after.data() + b * square,
                                        of_groups + b * square, through.data() + b * n,
@@ -344,8 +353,15 @@ class ForcedSteps {
         return square && own[0]->forces[at.flow]->around_steps() ? element : nullptr;
     }
 
-    void apply(const FlowTime& at, int64_t b, double* state, double* element) {
-        if (of(b).forces[at.flow]->flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+    // Apply a flow, and store its midpoint, if it has one.
+    void apply(const FlowTime& at, int64_t b, double* state, double* element, double* midpoint) {
+        Force& force = *of(b).forces[at.flow];
+        if (force.flow(state, element, at.t, at.tau, at.member, at.side) != DONE) throw NotDifferentiated();
+        if (force.has_midpoint()) force.copy_midpoint(midpoint);
+    }
+
+    const double* midpoint_of(const FlowTime& at, const double* stored) const {
+        return own[0]->forces[at.flow]->has_midpoint() ? stored : nullptr;
     }
 
     // Of what is held of a substep: the slots of its flows and of the step between them, and a state and an element there.

@@ -291,11 +291,11 @@ class OrbitDerivative {
     // The coefficients are logarithms of the noise, and of the damping, by coordinate, with `adds` the rates and the
     // `turning` themselves, and those of the terms of the derivative of H.
 
-    // Replace vectors at a state by their tangents after the flow, along directions of the coefficients; false if a series
-    // is too long, or an iteration does not converge.
-    bool push(const double* x, const double* end, double t, double tau, int64_t member, double* vectors, int64_t vectors_count,
-              const double* directions, int64_t stride) {
-        if (!find(x, end, t, tau, member)) return false;
+    // Replace vectors at a state by their tangents after the flow, whose midpoint may be `known`, along directions of the
+    // coefficients; false if a series is too long, or an iteration does not converge.
+    bool push(const double* x, const double* end, const double* known, double t, double tau, int64_t member, double* vectors,
+              int64_t vectors_count, const double* directions, int64_t stride) {
+        if (!find(x, end, known, t, tau, member)) return false;
         for (int64_t r = 0; r < vectors_count; ++r) {
             double* const dx = vectors + r * n;
             const double* const along = directions + r * stride;
@@ -342,9 +342,9 @@ class OrbitDerivative {
     }
 
     // Replace the cotangent of the state after the flow by that before, and add those of the coefficients.
-    bool pull(const double* x, const double* end, double t, double tau, int64_t member, double* cotangent,
-              double* by_coefficients) {
-        if (!find(x, end, t, tau, member)) return false;
+    bool pull(const double* x, const double* end, const double* known, double t, double tau, int64_t member,
+              double* cotangent, double* by_coefficients) {
+        if (!find(x, end, known, t, tau, member)) return false;
         std::fill(of_length.begin(), of_length.end(), 0.0);
         for (size_t e = exponentials.size(); e-- > 0;) {
             Exponential& one = *exponentials[e];
@@ -408,34 +408,16 @@ class OrbitDerivative {
         return *exponentials.back();
     }
 
-    bool find(const double* x, const double* end, double t, double tau, int64_t member) {
+    bool find(const double* x, const double* end, const double* known, double t, double tau, int64_t member) {
         exponentials.clear();
         const bool random = force.amplitude[0] > 0.0;
         if (adds) find_lengths(x);
         std::copy_n(x, n, now.data());
         if (random && !shake(now, t, tau, 0, member)) return false;
         damping = int64_t(exponentials.size());
-        middle = now;
-        if (!random || of_spins) {
-            // The end of the damping: that of the flow, through the second half of the noise backward.
-            middle.assign(end, end + n);
-            const auto back = [&] { return half.of(v.data(), -1.0, middle.data()) && (middle = half.end, true); };
-            if (random && !each_rotation(t, tau, 1, member, true, back)) return false;
-            find_middle(now.data(), middle.data());
-        }
+        for (int64_t i = 0; i < n; ++i) middle[i] = known ? known[i] : random ? now[i] : 0.5 * (x[i] + end[i]);
         if (!settle(now, t, tau)) return false;
         return !random || shake(now, t, tau, 1, member);
-    }
-
-    // A midpoint of the flow from x to its end: that of the chord, for spins on the arc, the solution unless they turn.
-    void find_middle(const double* x, const double* end) {
-        for (int64_t i = 0; i < n; ++i) middle[i] = 0.5 * (x[i] + end[i]);
-        if (!of_spins) return;
-        each_spin([&](int64_t i, int64_t j, int64_t k) {
-            const auto square = [&](const double* y) { return fma(y[i], y[i], fma(y[j], y[j], y[k] * y[k])); };
-            const double of_chord = square(middle.data()), by = of_chord > 0.0 ? std::sqrt(square(x) / of_chord) : 1.0;
-            for (const int64_t at : {i, j, k}) middle[at] *= by;
-        });
     }
 
     // The inverse lengths of spins, by coordinate; zero for those that are zero, and for other coordinates.
@@ -470,22 +452,11 @@ class OrbitDerivative {
 
     // As `Force::shake`.
     bool shake(std::vector<double>& x, double t, double tau, int half_of_noise, int64_t member) {
-        return each_rotation(t, tau, half_of_noise, member, false, [&] {
-            Exponential& one = next();
-            if (!one.of(v.data(), 1.0, x.data())) return false;
-            x = one.end;
-            return true;
-        });
-    }
-
-    // Call `take` with each v of a half of the noise, the last one first if `undone`, until it returns false.
-    template <class Take>
-    bool each_rotation(double t, double tau, int half_of_noise, int64_t member, bool undone, const Take& take) {
         const double size = force.amplitude[0] * std::sqrt(0.5 * tau);
         DeviateStream(uint64_t(force.seed), uint64_t(force.stream + member), t, uint64_t(half_of_noise))
             .fill(n, deviates.data());
         for (int64_t k = 0; k < force.sets; ++k) {
-            const int64_t set = (half_of_noise == 1) != undone ? force.sets - 1 - k : k;
+            const int64_t set = half_of_noise ? force.sets - 1 - k : k;
             std::fill(v.begin(), v.end(), 0.0);
             for (int64_t e = force.begin[set]; e < force.begin[set + 1]; ++e) {
                 const int64_t a = force.direction[e];
@@ -496,7 +467,9 @@ class OrbitDerivative {
                     v[a] = force.aim[force.shape == DIAGONAL ? a : 0] * length;
             }
             for (int64_t i = 0; adds && i < n; ++i) v[i] *= std::sqrt(inverse[i]);
-            if (!take()) return false;
+            Exponential& one = next();
+            if (!one.of(v.data(), 1.0, x.data())) return false;
+            x = one.end;
         }
         return true;
     }
