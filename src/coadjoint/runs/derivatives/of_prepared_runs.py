@@ -28,7 +28,7 @@ from coadjoint.validation import read_numbers, to_array
 def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) -> tuple[Solution, Tangents]:
     """Return the solution and its derivatives along directions; see `PreparedRun.jvp`."""
     given = Arguments(**arguments)
-    names = frozenset(directions) & prepared.parameters.keys() if isinstance(directions, Mapping) else frozenset()
+    names = frozenset(one for one in prepared.parameters if isinstance(directions, Mapping) and one in directions)
     pieces = _by_member(prepared, given, names)
     if pieces is None:
         return _tangents(prepared, given, directions)
