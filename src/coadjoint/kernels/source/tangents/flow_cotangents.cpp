@@ -1,4 +1,6 @@
 // The loop over the steps of programs backward, for Python.
+#include <map>
+
 #include "flows/compiled_rows.hpp"
 #include "tangents/flow_cotangents.hpp"
 #include "tangents/members.hpp"
@@ -53,10 +55,19 @@ class StepsBackward {
         finish = flows_of(finishing_rows(tables));
         longest = std::max(opening.size(), repeated.size());
         rotations.clear(run.undone ? 0 : steps * longest);
+        begin(run);
+    }
+
+    // Begin with the states and cotangents of a run, as many steps as before.
+    void begin(const BackwardRun& next) {
+        run = next, largest_deviation = A(0.0);
+        std::fill_n(of_coefficients.at, coefficients, A(0.0));
         read(x.at, run.momenta), read(x.at + size, run.errors), read(cotangents.at, run.cotangents);
         read_group(group.at, run.groups), read_group(group.at + square, run.group_errors);
         read_group(group_cotangents.at, run.group_cotangents);
     }
+
+    bool takes(const BackwardRun& next) const { return !next.undone && next.k1 - next.k0 == steps; }
 
     // Take the steps, and store their states and rotations, unless steps are undone from the last state.
     template <Summation summation, bool with_group>
@@ -134,7 +145,7 @@ class StepsBackward {
     const FlowCotangents& all;
     const FlowTables& tables;
     const C constants;
-    const BackwardRun& run;
+    BackwardRun run;
     InterruptCheck& interrupts;
     const int64_t used;
     const MembersOfRun<of_members> members;
@@ -209,24 +220,40 @@ class StepsBackward {
     }
 };
 
+// The loops of some members, by the first of them, whose memory and flows serve the next steps too.
+struct KeptSteps final : Kept {
+    std::map<int64_t, std::shared_ptr<void>> of_members;
+};
+
 template <class A, class G, class C>
-static void run_members(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first,
-                         int64_t count, InterruptCheck& interrupts) {
-    StepsBackward<A, G, C> steps(all, constants, run, first, count, interrupts);
+static void run_members(const FlowCotangents& all, const C& constants, std::unique_ptr<Kept>* kept, const BackwardRun& run,
+                        int64_t first, int64_t count, InterruptCheck& interrupts) {
+    typedef StepsBackward<A, G, C> Steps;
+    if (kept && !*kept) kept->reset(new KeptSteps);
+    std::shared_ptr<void> own, &held = kept ? static_cast<KeptSteps&>(**kept).of_members[first] : own;
+    // Threads that share a member are those of one loop at a time.
+    if (!held || run.threads > 1 || !static_cast<Steps*>(held.get())->takes(run)) {
+        held.reset();
+        held = std::make_shared<Steps>(all, constants, run, first, count, interrupts);
+    } else {
+        static_cast<Steps*>(held.get())->begin(run);
+    }
+    Steps& steps = *static_cast<Steps*>(held.get());
     if (all.base.compensated)
         run.square > 0 ? steps.template forward<CORRECTED, true>() : steps.template forward<CORRECTED, false>();
     else
         run.square > 0 ? steps.template forward<PLAIN, true>() : steps.template forward<PLAIN, false>();
     steps.take_back();
+    if (run.threads > 1) held.reset();
 }
 
 // Carry the cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
 static int64_t carry_backward(const FlowCotangents& tables, const BackwardRun& run, int64_t first, int64_t last,
-                              InterruptCheck& interrupts) {
+                              InterruptCheck& interrupts, std::unique_ptr<Kept>* kept) {
     return run_in_lanes<MEMBER_LANES>(
         tables, run.size, first, last, interrupts, [&](auto together, const auto& constants, auto&&... rest) {
             typedef std::conditional_t<together(), ManyMembers, double> A;
-            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(tables, constants, run, rest...);
+            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(tables, constants, kept, run, rest...);
         });
 }
 
