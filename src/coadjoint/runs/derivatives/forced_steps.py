@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import methodcaller
@@ -271,9 +272,18 @@ class ForcedTables:
 
 
 class MultiplesOfMembers(NamedTuple):
-    """The multiples of each member of a batch, which may be of different coefficients."""
+    """The multiples of each member of a batch, which are of different coefficients."""
 
     each: Sequence[Multiples]
+
+    @classmethod
+    def joined(cls, each: Sequence[Multiples]) -> Multiples | MultiplesOfMembers:
+        """Return the multiples of members with an axis of these if they are of the same coefficients."""
+        first = each[0]
+        pairs = [(one.position, first.position) for one in each] + [(one.number, first.number) for one in each]
+        if all(itertools.starmap(np.array_equal, pairs)):
+            return first._replace(factor=np.stack([one.factor for one in each]))
+        return cls(each)
 
     def of_entries(self, by_constant: Floats, entries: int) -> Floats:
         return np.stack([one.of_entries(row, entries) for one, row in zip(self.each, by_constant, strict=True)])
@@ -285,7 +295,7 @@ class MultiplesOfMembers(NamedTuple):
 def joined_tables(each: Sequence[DerivativeTables], tables_at: Callable[..., Any]) -> DerivativeTables:
     """Return the derivatives of steps of the members of a batch, with `tables_at` of all."""
     coefficients: dict[str, Any] = {
-        name: MultiplesOfMembers([one.coefficients[name] for one in each]) for name in each[0].rules
+        name: MultiplesOfMembers.joined([one.coefficients[name] for one in each]) for name in each[0].rules
     }
     rules = {name: least_exact(one.rules[name] for one in each) for name in each[0].rules}
     keepalive = tuple(owner for one in each for owner in one.keepalive)

@@ -28,7 +28,7 @@ from coadjoint.validation import read_numbers, to_array
 def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) -> tuple[Solution, Tangents]:
     """Return the solution and its derivatives along directions; see `PreparedRun.jvp`."""
     given = Arguments(**arguments)
-    names = frozenset(directions) & prepared.parameters.keys() if isinstance(directions, Mapping) else frozenset()
+    names = frozenset(one for one in prepared.parameters if isinstance(directions, Mapping) and one in directions)
     pieces = _by_member(prepared, given, names)
     if pieces is None:
         return _tangents(prepared, given, directions)
@@ -103,25 +103,37 @@ def _pieces(prepared: PreparedRun, given: Arguments, together: _Joined) -> tuple
 
 
 def _in_columns(prepared: PreparedRun, names: frozenset[str]) -> _Joined:
-    """Return the members of a batch that are differentiated together by these parameters."""
-    system = prepared.system
+    """Return the members of a batch that are differentiated together by these parameters, and the runs of them."""
+    system, cache = prepared.system, prepared.cache.in_columns
     forced = bool(system.forces)
     if prepared.inputs is not None or not (forced or prepared.scheme.differentiates(system.of_member(0))):
         return []
-    cache, key = prepared.cache.in_columns, names if forced else frozenset()
+    key = names if forced else frozenset()
     if key not in cache:
-        parts = [members for members in prepared.loops(prepared.step).in_columns]
-        # The noise of some members is that of their numbers.
-        chosen = [members for members in parts if len(members) == len(system) or not system.has_noise]
-        runs = [(members, prepared if len(members) == len(system) else prepared.sampled(members)) for members in chosen]
-        cache[key] = [
-            (members, run) for members, run in runs if differ_in_columns(run) and (not forced or _joins(run, key))
-        ]
+        loops = prepared.loops(prepared.step)
+        found = [(members, _run_of(prepared, members)) for members in loops.in_columns]
+        found = [(members, run) for members, run in found if differ_in_columns(run)]
+        if forced:
+            # The others are differentiated in one call too; and all with noise, which is that of their numbers.
+            together = np.concatenate([np.zeros(0, dtype=np.int64), *(members for members, _ in found)])
+            rest = np.arange(len(system)) if loops.order is None else loops.order
+            if len(together) < len(system) and system.has_noise:
+                found = [(rest, prepared)]
+            elif len(rest := rest[~np.isin(rest, together)]) > 1:
+                found.append((rest, _run_of(prepared, rest)))
+            found = [(members, run) for members, run in found if _joins(run, names)]
+        cache[key] = found
     return cache[key]
+
+
+def _run_of(prepared: PreparedRun, members: NDArray[np.int64]) -> PreparedRun:
+    return prepared if np.array_equal(members, np.arange(len(prepared.system))) else prepared.sampled(members)
 
 
 def _joins(prepared: PreparedRun, names: frozenset[str]) -> bool:
     """Return whether the derivatives of steps with forces of all members have the same coefficients."""
+    if prepared.loops(prepared.step).order is not None:
+        return False
     try:
         DifferentiableRun.of(prepared).tables(prepared.step, names)
     except NotWritable:

@@ -163,7 +163,7 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
     known = {m: run.of_member(m).tables(h, names) for m in dict.fromkeys(owners)}
     each = [known[m] for m in owners]
     columns, stepping = None, loops.columns_of_members
-    if stepping is not None and run.base.differentiates(system.first.unforced):
+    if run.base.differentiates(system.first.unforced) and differ_in_columns(run.prepared):
         in_energy = [name for name in names if name in parameters_of(system.first.unforced)]
         columns = MemberColumns(run, h, in_energy)
         stepping = stepping.tables(loops.compiled[0], loops.watches[0])
