@@ -22,7 +22,7 @@ from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of
+from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of, with_parameters
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -228,32 +228,36 @@ def fit(
     _check_determined(first, problem, "at the guess")
     problem, end = _minimum(problem, first)
     guess = problem
-    # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
-    moved = problem.moved(end.x)
-    problem = problem._replace(values=moved)
-    if end.status <= 0:
-        advice = INVERSES if _are_inverse(ready, x0, unknown, problem, observe) else "give closer guesses"
-        raise ValueError(f"the minimum was not found in {end.nfev} evaluations; {advice}")
-    final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
-    squares = float(final @ final)
-    contradicts = _contradicts(squares, freedom)
-    if contradicts:
-        _check_permitted(guess, first, end.x)
-    J = problem.jacobian(np.zeros(count))
-    place = (
-        f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees of "
-        "freedom, and which may be far from the minimum,"
-    )
-    inverse = contradicts and _are_inverse(ready, x0, unknown, problem, observe)
-    advice = INVERSES if inverse else "give a better guess, or omit" if contradicts else "omit"
-    _check_determined(J, problem, place if contradicts else "at the minimum", advice)
+    with without_warnings():  # of values that may not be those returned
+        # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
+        moved = problem.moved(end.x)
+        problem = problem._replace(values=moved)
+        if end.status <= 0:
+            advice = INVERSES if _are_inverse(ready, x0, unknown, problem, observe) else "give closer guesses"
+            raise ValueError(f"the minimum was not found in {end.nfev} evaluations; {advice}")
+        final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
+        squares = float(final @ final)
+        contradicts = _contradicts(squares, freedom)
+        if contradicts:
+            _check_permitted(guess, first, end.x)
+        J = problem.jacobian(np.zeros(count))
+        place = (
+            f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees "
+            "of freedom, and which may be far from the minimum,"
+        )
+        inverse = contradicts and _are_inverse(ready, x0, unknown, problem, observe)
+        advice = INVERSES if inverse else "give a better guess, or omit" if contradicts else "omit"
+        _check_determined(J, problem, place if contradicts else "at the minimum", advice)
+        rates = _are_rates(ready, attitude, unknown, problem, observe)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
+    if changed := {name: parameters[name] for name in problem.chosen if name in parameters}:
+        with_parameters(ready.system, changed)  # with its warnings, such as of moments that no body has
     fitted = problem.run.prepared_at(parameters)
     solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    if _are_rates(ready, attitude, unknown, problem, observe):
+    if rates:
         warn_caller(
             'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
             'them "angular_velocity"',

@@ -196,7 +196,13 @@ class FitProblem(NamedTuple):
             members = state.size // n
             count = members * len(generators) if name == "attitude0" else values[name].size
             what = f"a number of an unknown entry of {name}"
-            given = np.arange(count) if entries is True else to_array(entries, f"unknown of {name}")
+            try:
+                given = np.arange(count) if entries is True else to_array(entries, f"unknown of {name}")
+            except TypeError:
+                raise TypeError(
+                    f"unknown of {name} is {short(entries)}; give True for all entries, or the numbers of some, as in "
+                    "(0, 2), and leave out what is known"
+                ) from None
             if given.size > count:
                 raise ValueError(f"unknown gives {given.size} numbers of entries of {name}, which has {count}")
             numbers = given.ravel().tolist()

@@ -229,6 +229,12 @@ def test_rates_determine_a_small_moment_beside_large_ones():
     np.testing.assert_allclose(found.values["inertia"], inertia, rtol=1e-9)
 
 
+@pytest.mark.parametrize("entries", [False, None, (True, False, True), np.array([True, False, True])])
+def test_unknown_entries_are_numbers_and_no_mask(entries):
+    with refused(TypeError, "unknown of inertia", "True for all", "numbers of some", "leave out"):
+        co.fit(body(), X0, (0.0, 1.0), {"x": np.zeros((11, 3))}, {"inertia": entries}, sigma={"x": SIGMA})
+
+
 def test_fewer_measurements_than_unknowns_are_refused():
     ready = co.prepare(co.systems.heavy_top(), SCHEME, step=0.1)
     measured, sigma = {"x": np.zeros((1, 6))}, {"x": 1.0}
@@ -471,7 +477,6 @@ def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
         co.fit(body((1.0, 2.0, 2.4)), (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, {"inertia": (2,)}, 10, **options)
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_attitudes_of_the_other_direction_are_named_where_they_leave_unknowns_undetermined():
     """Of a damped body the point reached is far away, and there the measurements determine nothing."""
     rng = np.random.default_rng(132)

@@ -1,5 +1,6 @@
 """Energies with parameters in runs of JAX: against SciPy, and what they preserve for all parameters."""
 
+import math
 import warnings
 
 import numpy as np
@@ -380,11 +381,22 @@ LEARNED = {
     "module": (lambda: co.jax.energy(OfTorch(), {}), TypeError, ["PyTorch", "JAX"]),
     "float32": (lambda: co.jax.energy(network, {"in": jnp.ones(2, "float32")}), TypeError, ["params['in']", "float64"]),
     "vector": (lambda: bound(co.jax.energy(lambda x, params: x, {})), TypeError, ["(3,)", "one number"]),
-    "shape": (lambda: bound(energy(weights(4))), TypeError, ["trace", "dot"]),
+    "shape": (lambda: bound(energy(weights(4))), TypeError, ["fails at a state of the shape (3,)", "dot"]),
     "directions": (lambda: co.jax.features(feature, np.ones(3), {}), ValueError, ["(3,)", "(features, n)"]),
     "few": (lambda: co.jax.features(feature, DIRECTIONS, {"c": np.ones(3)}), ValueError, ["params['c']", "2 features"]),
     "n": (lambda: bound(co.jax.features(feature, np.eye(2), weights_of(2))), TypeError, ["2 coordinates", "3"]),
     "three": (lambda: co.jax.features(in_time, DIRECTIONS, {}), TypeError, ["(y, params)"]),
+    "exchanged": (
+        lambda: bound(co.jax.energy(lambda w, x: network(x, w), weights(3))), TypeError,
+        ["fails at a state", "before params"],
+    ),
+    "not traced": (
+        lambda: bound(co.jax.energy(lambda x, params: params @ x * math.exp(x[0]), np.ones(3))), TypeError,
+        ["cannot trace", "jax.numpy"],
+    ),
+    "no number": (lambda: bound(co.jax.energy(lambda x, params: params * x, np.ones(3))), TypeError, [
+        "is co.jax.energy(<lambda>), and it returns an array of the shape (3,)",
+    ]),
     "depth": (lambda: co.jax.PoissonMap(get("so(3)"), 0), ValueError, ["depth", "0"]),
     "widths": (lambda: co.jax.PoissonMap(get("so(3)"), 2, 16), TypeError, ["widths", "16"]),
     "algebra": (lambda: co.jax.PoissonMap(SYSTEM, 2), TypeError, ["algebra", "LieAlgebra"]),

@@ -500,6 +500,24 @@ def with_dropout():
     return torch.nn.Sequential(torch.nn.Linear(3, 8), torch.nn.Dropout(0.5), torch.nn.Linear(8, 1)).double()
 
 
+def test_modules_keep_the_mode_they_had():
+    """Dropout that was off stays off after train(), in runs of PyTorch and compiled ones; one part is used twice."""
+    net = with_dropout().eval()
+    module = torch.nn.Sequential(net[0], net[1], net[2], torch.nn.Linear(1, 3), net).double()
+    system = co.LiePoissonSystem(co.algebras.so(3), co.torch.energy(module))
+    run, params = (
+        co.torch.solution(system, (0, 0.5), method=co.GaussLegendre(1), step=0.1),
+        dict(module.named_parameters()),
+    )
+    before = run(X0, params=params), co.integrate(system, X0, (0, 0.5), 0.1, co.GaussLegendre(1)).x
+    module.train()
+    after = run(X0, params=params), co.integrate(system, X0, (0, 0.5), 0.1, co.GaussLegendre(1)).x
+    assert module.training and net[1].training and torch.equal(before[0], after[0])
+    np.testing.assert_array_equal(before[1], after[1])
+    after[0][-1, 0].backward()
+    assert all(one.grad is not None for one in module.parameters())
+
+
 LEARNED = {
     "no params": (lambda: co.torch.energy(network), TypeError, ["without params"]),
     "params, x": (lambda: co.torch.energy(lambda params, x: x[0], {}), TypeError, ["(x, params)", "this order"]),
@@ -526,7 +544,10 @@ LEARNED = {
         lambda: learned_run()[0](X0, params=dict(modules(4).named_parameters())), ValueError,
         ["params['0.weight']", "(4, 4)", "(4, 3)"],
     ),
-    "structure": (lambda: learned_run()[0](X0, params={"in": X0}), ValueError, ["structure", "0.weight"]),
+    "structure": (
+        lambda: learned_run()[0](X0, params=modules().state_dict()), ValueError,
+        ["structure", "0.weight", "dict(module.named_parameters())"],
+    ),
     "position": (lambda: learned_run()[0](X0, {}), TypeError, ["2 arguments", "params="]),
     "no energy": (lambda: co.torch.solution(prepared(), (0, 1))(X0, params={}), ValueError, ["co.torch.energy"]),
     "no step": (lambda: body(co.torch.energy(modules()), step=None), TypeError, ["step="]),

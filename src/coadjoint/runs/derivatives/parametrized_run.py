@@ -178,7 +178,7 @@ class ParametrizedRun:
         of_members = "" if single else f" of member {m}" if count == 1 else f" of {count} members, first of member {m},"
         warn_caller(
             f"states{of_members} are NaN from t = {self.saved_times[k]:g} on: iterations or a series of a step before "
-            "it do not converge, or a function is not finite; take a smaller step",
+            "it do not converge, or a function is not finite; take a smaller step (co.integrate iterates longer)",
             LargeStepWarning,
         )
 
