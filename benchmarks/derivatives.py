@@ -149,7 +149,16 @@ def of_matrices(steps: int, rounds: int) -> None:
         "Friction, N = 32": (sphere.with_forces(F.Friction(0.1)), one),
         "Viscosity, N = 32": (sphere.with_forces(F.Viscosity(0.01)), one),
         "SelectiveDecay, N = 32": (sphere.with_forces(F.SelectiveDecay(0.1)), one),
-        "DoubleBracketDamping, N = 16": (S.sphere_euler(N=16).with_forces(F.DoubleBracketDamping(0.1)), one),
+        **{
+            f"{type(force).__name__}, N = {N}": (S.sphere_euler(N=N).with_forces(force), one)
+            for force in (F.DoubleBracketDamping(0.1), F.HeatBath(0.1, temperature=0.01, seed=3))
+            for N in (8, 16, 32)
+        },
+        "DoubleBracketDamping, shallow": (
+            S.sphere_qg(N=16, lamb=2.0, gamma=0.5, rotation=0.5).with_forces(F.DoubleBracketDamping(0.1)),
+            one,
+        ),
+        "DoubleBracketDamping, magnetic": (S.reduced_mhd(N=16).with_forces(F.DoubleBracketDamping(0.1)), one),
     }
     print(f"{'matrices':32s} us/step  tangent  gradient")
     for name, (system, method) in rows.items():

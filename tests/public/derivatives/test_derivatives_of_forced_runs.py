@@ -338,6 +338,7 @@ ON_MATRICES = {
     "damping, then bath": ((DAMPED, HEATED), co.IsospectralGauss(2), 1),
     "bath, then damping": ((HEATED, DAMPED), co.IsospectralGauss(), 1),
     "cold": ((F.HeatBath(0.4, temperature=0.0, seed=5),), co.IsospectralGauss(), 1),
+    "hot": ((F.HeatBath(0.4, temperature=10.0, seed=5),), co.IsospectralGauss(), 1),
 }
 
 
@@ -348,6 +349,7 @@ def drawn(system, rng, members=()):
     return system.algebra.projected(x) / np.sqrt(system.algebra.N)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("acting", ON_MATRICES)
 @pytest.mark.parametrize("name", MATRICES)
 def test_dampings_and_baths_of_matrices(name, acting):
@@ -355,13 +357,14 @@ def test_dampings_and_baths_of_matrices(name, acting):
     base, (forces, method, direction) = MATRICES[name], ON_MATRICES[acting]
     draw = partial(drawn, base, members=(2,) if acting == "bath" else ())
     build, x0, end = changed(base.with_forces(*forces)), draw(np.random.default_rng(3)), 0.5 + 4 * direction * H
-    points = (0.5, 0.5 + (2 if HEATED in forces else 1.3) * direction * H, end)
+    points = (0.5, 0.5 + (2 if any(force.random for force in forces) else 1.3) * direction * H, end)
     gradient = assert_derivatives(build, method, x0, (0.5, end), H, draw=draw, t_eval=points)
     strengths = ["alpha", "metric", "temperature"] if acting == "bath" else ["alpha", "metric"]
     for key in (f"{type(force).__name__}.{one}" for force in forces for one in strengths):
         assert abs(gradient[key]) > 1e-5
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
 @pytest.mark.parametrize("name", MATRICES)
 def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, force):
@@ -372,6 +375,7 @@ def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, force
     np.testing.assert_allclose(base.to_vector(found), matrix @ base.to_vector(direction), rtol=0, atol=1e-13)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
 @pytest.mark.parametrize("name", ["two fields", "function on blocks"])
 def test_cotangents_outside_of_the_algebra_are_projected(name, force):

@@ -133,8 +133,7 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
         std::vector<double> rows;
     };
     typedef std::array<int64_t, 3> Unknown;  // the member, the place, and the number of the vector
-    static constexpr int64_t NODES = 8, HISTORY = 8;
-    static constexpr size_t MOST_HISTORIES = 64;
+    static constexpr int64_t NODES = 8, HISTORY = 8, MOST_NUMBERS = int64_t(1) << 22;
     static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
     const ForceDerivatives& derivatives;
     const Products<T>& products;
@@ -181,6 +180,7 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
 
     // to := [A, B], or to += that.
     void bracket(const T* A, const T* B, T* to, bool add) {
+        InterruptCheck::of_this_call().after(by.work() / 4);
         products.multiply(A, B, second.data());
         for (int64_t l = 0; l < all; l += square) skew_part(n, second.data() + l, 1.0, to + l, add);
     }
@@ -244,7 +244,6 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
 
     // Find the midpoint of the damping between the states around it, and what the derivatives need there.
     bool find(const T* x, const T* end, double t, double tau, int64_t member) {
-        InterruptCheck::of_this_call().after(8 * by.work());
         std::copy_n(x, all, known.data()), std::copy_n(end, all, rest.data());
         turns.clear();
         if (table.amplitude[0] > 0.0) {
@@ -317,12 +316,13 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
         return true;
     }
 
-    // Solve for `rest`, which `improve` computes of itself, relative to a size; predicted from earlier flows.
+    // Solve for `rest`, which `improve` computes of itself, with errors relative to a size; from a prediction by earlier flows.
     template <class Improve>
     bool solve(const Unknown& unknown, double size, const Improve& improve) {
         std::fill(rest.begin(), rest.end(), T(0.0));
-        const bool predicted = turns.empty() && (histories.size() < MOST_HISTORIES || histories.count(unknown));
-        History* const history = predicted ? &histories[unknown] : nullptr;
+        // Those of flows with noise are not smooth. Which histories fit does not depend on other members.
+        const bool fits = (unknown[1] + 1) * (unknown[2] + 1) * HISTORY * numbers <= MOST_NUMBERS;
+        History* const history = turns.empty() && fits ? &histories[unknown] : nullptr;
         const auto earlier = [&](int64_t j) -> const double* {
             return history->rows.data() + (history->count - 1 - j) % HISTORY * numbers;
         };
