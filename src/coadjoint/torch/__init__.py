@@ -92,7 +92,8 @@ def energy(function: Callable[..., Any], params: Any = None) -> Hamiltonian:
     Parameters
     ----------
     function : torch.nn.Module or callable
-        A module of one state (n,), or of (x, t), in float64; or ``function(x, params)``, or ``function(x, params, t)``.
+        A module of one state (n,), or of (x, t), in float64, in the mode that it has now, as by ``eval()``; or
+        ``function(x, params)``, or ``function(x, params, t)``.
         It returns one number by operations of PyTorch that are differentiable twice, without buffers that change.
     params : tree of tensors of float64, optional
         Weights, in dictionaries and lists. Required for a function; of a module they are its parameters by name. The
@@ -238,8 +239,8 @@ def solution(
         returns the states, (k, n) for x0 of shape (n,) and (k, members, n) for (members, n); for a run prepared with an
         attitude the pair of states and attitudes. The parameters are those of ``ready.parameters``, in their shapes,
         and default to these values; of `energy`, `features`, `torque` and `double_bracket` they are ``params``, one
-        tree for all. A system with other parameters is prepared in each call, and the last one is cached; other params
-        need no preparation.
+        tree for all, without derivatives by those that are not given. A system with other parameters is prepared in
+        each call, and the last one is cached; other params need no preparation.
 
     Raises
     ------

@@ -334,3 +334,12 @@ def test_batches_may_be_mapped_over_their_states(backend):
 
 def test_large_ensembles_are_called_back_on_one_core():
     assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"
+
+
+def test_the_step_of_many_members_with_attitudes_is_checked():
+    """By a run of some of them, each with its attitude."""
+    ready = co.prepare(co.systems.rigid_body((1.0, 2.0, 2.5)), co.Splitting(), 2.0, attitude=True)
+    x0, attitudes = np.tile([3.0, 0.6, 1.5], (65, 1)), np.tile(np.eye(3), (65, 1, 1))
+    with pytest.warns(co.LargeStepWarning, match="the step 2 is too large"):
+        x, A = co.jax.solution(ready, (0, 10), backend="xla")(x0, attitude0=attitudes)
+    assert x.shape == (6, 65, 3) and A.shape == (6, 65, 3, 3)
