@@ -478,7 +478,7 @@ def _plain(value: Floats) -> Any:
 
 def values_of_member(values: Mapping[str, Floats] | None, member: int) -> dict[str, Floats] | None:
     """Return the values of a member of a batch; None without values."""
-    return None if values is None else {name: value[member] for name, value in values.items()}
+    return None if values is None else {name: np.array(value[member]) for name, value in values.items()}
 
 
 def with_parameters_of_members(system: Any, values: Mapping[str, Floats]) -> Any:

@@ -585,7 +585,8 @@ BATCHES = {
     "matrix of rates": ((lambda f: F.LinearDamping(f * FULL, toward=AIM),), co.GaussLegendre(1), 3, True, 1),
     "torques": ((lambda f: F.Torque((0.1, 0.2 * f, 0.4)), damping), co.Splitting(parts="coordinates"), 4, True, -1),
     "on orbits": ((lambda f: F.DoubleBracketDamping(0.4 * f, (0.5, f, 2.0)), damping), co.Splitting(), 9, False, 1),
-    "sampled": ((sampled, damping), co.Splitting(), 9, False, 1),
+    "sampled": ((sampled, lambda f: F.Torque((0.1 * f, 0.2, 0.3))), co.Splitting(), 9, False, 1),
+    "own functions": ((lambda f: F.Torque(lambda x: -f * x * x), damping), co.Splitting(), 3, True, 1),
     "noise": ((lambda f: F.HeatBath(0.3 * f, temperature=0.5 * f, seed=7), damping), co.Splitting(), 9, True, 1),
     "fields": ((lambda f: shaken(0.4 * f, AXIAL, CUBIC), damping), co.Splitting(), 9, True, 1),
 }
@@ -595,7 +596,8 @@ BATCHES = {
 def test_unlike_members_with_forces_have_the_derivatives_of_single_runs(name):
     """In one call of the loops, by their own constants and noise, on one and on two threads; and between steps."""
     forces, method, count, attitude, sign = BATCHES[name]
-    build = partial(co.systems.body, attitude=False) if name == "sampled" else co.systems.rigid_body
+    held = name == "sampled"  # in the state
+    build = partial(co.systems.body, attitude=False) if held else co.systems.rigid_body
     systems, rng = of_members(*forces, count=count, build=build), np.random.default_rng(5)
     x0, span = rng.uniform(0.2, 0.9, (count, systems[0].dim)), (0.5, 0.5 + sign * 4 * H)
     noisy = systems[0].has_noise

@@ -332,6 +332,26 @@ def test_batches_may_be_mapped_over_their_states(backend):
         jax.vmap(g)(MANY[:2])
 
 
+@pytest.mark.parametrize("forced", [False, True])
+def test_batches_take_parameters_of_each_member(forced):
+    """The values and gradients are those of a batch prepared for these parameters, and each member's of its run."""
+    forces = [co.forces.LinearDamping(0.2 * m, toward=0.1) for m in (1, 2, 3)]
+    bodies = [co.systems.rigid_body((1.0, 2.0, third)) for third in (2.5, 2.75, 3.0)]
+    systems = [body.with_forces(force) if forced else body for body, force in zip(bodies, forces, strict=True)]
+    ready = co.prepare(co.batch(systems), co.Splitting(), 0.1)
+    g, given = co.jax.solution(ready, (0.5, 0.8), 3), {name: 1.1 * one for name, one in ready.parameters.items()}
+    by_x0, by_given = jax.grad(lambda x0, given: (g(x0, **given) ** 2).sum(), argnums=(0, 1))(MANY[:3], given)
+    for m in range(3):
+        body = co.systems.rigid_body(given["inertia"][m])
+        own = {name.split(".")[1]: one[m] for name, one in given.items() if "." in name}
+        single = co.prepare(body.with_forces(co.forces.LinearDamping(**own)) if forced else body, co.Splitting(), 0.1)
+        sol, pullback = single.vjp(MANY[m], (0.5, 0.8), 3)
+        assert np.array_equal(g(MANY[:3], **given)[:, m], sol.x)
+        gradient = pullback(2 * sol.x)
+        assert np.array_equal(by_x0[m], gradient["x0"])
+        assert all(np.array_equal(by_given[name][m], gradient[name]) for name in given)
+
+
 def test_large_ensembles_are_called_back_on_one_core():
     assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"
 

@@ -49,6 +49,19 @@ def test_values_have_the_bits_of_the_run(g):
     assert np.array_equal(g(X0), prepared().run(X0, SPAN, EVERY).x)
 
 
+def test_batches_with_forces_have_the_gradients_of_each_member():
+    bodies = [co.systems.rigid_body(one) for one in ((1.0, 2.0, 2.5), INERTIA)]
+    systems = [body.with_forces(co.forces.LinearDamping(0.1 * m)) for m, body in enumerate(bodies, 1)]
+    g = co.torch.solution(co.batch(systems), SPAN, EVERY, method=co.Splitting(), step=0.05)
+    x0, rates = variable(MANY[:2]), variable([0.15, 0.3])
+    (g(x0, **{"LinearDamping.rate": rates}) ** 2).sum().backward()
+    for m, body in enumerate(bodies):
+        damped = body.with_forces(co.forces.LinearDamping(rates[m].item()))
+        sol, pullback = co.prepare(damped, co.Splitting(), 0.05).vjp(MANY[m], SPAN, EVERY)
+        gradient = pullback(2 * sol.x)
+        assert np.array_equal(x0.grad[m], gradient["x0"]) and rates.grad[m] == gradient["LinearDamping.rate"]
+
+
 def test_gradient_is_that_of_the_pullback(g):
     wanted = prepared(INERTIA).vjp(X0, SPAN, EVERY)[1](WEIGHTS)
     x0, inertia = variable(X0), variable(INERTIA)

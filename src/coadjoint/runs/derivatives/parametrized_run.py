@@ -70,7 +70,9 @@ class ParametrizedRun:
                 'prepared.jvp and prepared.vjp, or co.jax.solution with backend="xla"'
             )
         if prepared.system.is_batch and prepared.system.forces and not compiled:
-            raise TypeError(f"{caller} takes batches with forces by the compiled loops only; omit backend=")
+            raise TypeError(
+                f"{caller} takes batches without forces, not {prepared.system.name}; use prepared.jvp and prepared.vjp"
+            )
         if prepared.method.own_steps:
             raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
         self._prepared = prepared

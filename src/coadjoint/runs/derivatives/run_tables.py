@@ -132,7 +132,7 @@ class MemberColumns:
     def are_of(self, each: Sequence[DerivativeTables], structure: Any) -> bool:
         """Return whether the coefficients of members are the first ones of their tables with forces."""
         found = [
-            (own.position, own.number, own.factor[m], one.coefficients[name].take(slice(len(own.number))))
+            (own.position, own.number, own.factor[m], one.coefficients[name].take(np.arange(len(own.number))))
             for name, own in self.tables.coefficients.items()
             for m, one in enumerate(each)
         ]
@@ -162,16 +162,17 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
     owners = (np.arange(len(system)) if system.has_noise else firsts[system.owners]).tolist()
     known = {m: run.of_member(m).tables(h, names) for m in dict.fromkeys(owners)}
     each = [known[m] for m in owners]
-    columns, stepping = None, loops.columns_of_members
+    columns, stepping = None, None
     if run.base.differentiates(system.first.unforced) and differ_in_columns(run.prepared):
         in_energy = [name for name in names if name in parameters_of(system.first.unforced)]
         columns = MemberColumns(run, h, in_energy)
-        stepping = stepping.tables(loops.compiled[0], loops.watches[0])
+        of_loops = cast(Columns, loops.columns_of_members).tables(loops.compiled[0], loops.watches[0])
+        stepping = None if of_loops.separate_tables else of_loops
 
     @lru_cache(2)
     def tables_at(step: float) -> Any:
         structures = [one.tables_at(step) for one in each]
-        if columns is None or stepping.separate_tables or not columns.are_of(each, structures[0]):
+        if columns is None or stepping is None or not columns.are_of(each, structures[0]):
             return structure_of_members(structures)
         inner = [columns.together(c * step, len(each)) for c in dict.fromkeys(forced.fractions)]
         if any(one is None for one in inner):
