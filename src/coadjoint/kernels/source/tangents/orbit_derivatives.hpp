@@ -3,6 +3,8 @@
 // `extent` have the metric divided by the length of each spin, the noise by its root, and `turning` grad H in v too.
 #pragma once
 
+#include <optional>
+
 #include "forces/force.hpp"
 #include "tangents/second_derivatives.hpp"
 
@@ -250,15 +252,15 @@ class Exponential {
 constexpr double SETTLED = 0x1p-50;  // relative change that is round-off
 
 // Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
-// near round-off no longer fall; return the last change relative to their size, negative if a step of it is false.
+// near round-off no longer fall; return the last change relative to their size, or nothing if a step of it is false.
 template <class Improve>
-double iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+std::optional<double> iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
     constexpr int64_t MOST_ITERATIONS = 192;
     constexpr double NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
     double last = std::numeric_limits<double>::infinity(), fall_before = 1.0, change = last, size = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
         before = now;
-        if (!improve()) return -1.0;
+        if (!improve()) return {};
         change = size = 0.0;
         for (size_t i = 0; i < now.size(); ++i) {
             change += absolute(now[i] - before[i]);
@@ -468,15 +470,15 @@ class OrbitDerivative {
 
     // As `Force::settle`, from a first midpoint on, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
-        const double change = iterate(middle, before, [&] {
+        const std::optional<double> change = iterate(middle, before, [&] {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
             direction_of(other.data(), gradients.data(), tau, v.data());
             if (!half.of(v.data(), 0.5, x.data())) return false;
             middle = half.end;
             return true;
         });
-        if (change < 0.0) return false;
-        if (!(change <= SETTLED)) slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
+        if (!change) return false;
+        if (!(*change <= SETTLED)) slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
         for (int64_t i = 0; i < n; ++i) driven[i] = inverse[i] * other[i];
         Exponential& whole = next();
         if (!whole.of(v.data(), 1.0, x.data())) return false;
