@@ -271,14 +271,14 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
             this->set_element(c, slope.data(), by.A.data());
             return true;
         };
-        const double change = iterate(numbers_of(M), numbers, before, [&] {
+        const auto change = iterate(numbers_of(M), numbers, before, [&] {
             if (!find_element()) return false;
             products.multiply(by.A.data(), M.data(), first.data());
             products.multiply_skew(first.data(), by.A.data(), second.data());
             for (int64_t e = 0; e < all; ++e) M[e] = chord[e] + 0.25 * second[e];
             return true;
         });
-        if (change < 0.0 || !find_element()) return false;
+        if (!change || !find_element()) return false;
         by.transform(depth);
         for (int64_t e = 0; e < depth * square; ++e) F[e] = 0.5 * by.E[e];
         set_adjoint(F, F_adjoint);
@@ -331,7 +331,7 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
             const int64_t count = fit_rows(numbers, std::min(history->count, HISTORY), earlier, factor);
             add_rows(numbers, count, earlier, factor, numbers_of(rest));
         }
-        if (iterate(numbers_of(rest), numbers, before, improve, size) < 0.0 || !finite(numbers, numbers_of(rest))) return false;
+        if (!iterate(numbers_of(rest), numbers, before, improve, size) || !finite(numbers, numbers_of(rest))) return false;
         if (!history) return true;
         history->rows.resize(HISTORY * numbers);
         std::copy_n(numbers_of(rest), numbers, history->rows.data() + history->count++ % HISTORY * numbers);

@@ -42,7 +42,7 @@ class NoiseDerivative {
                 if (table.own) each_coefficient_of(part, add);
                 if (part.kind == IMPLICIT) {
                     std::fill(dv.begin(), dv.end(), 0.0);
-                    const double change = iterate(dv, before, [&] {
+                    const auto change = iterate(dv, before, [&] {
                         std::copy_n(dx, n, dm.data());
                         for (double& entry : dv) entry *= 0.5;
                         part.half.push(dv.data(), dm.data());
@@ -50,7 +50,7 @@ class NoiseDerivative {
                         add_hessian(part, t, dm.data(), dv.data());
                         return true;
                     });
-                    if (change < 0.0) return false;
+                    if (!change) return false;
                 } else {
                     dv = first;
                     add_hessian(part, t, dx, dv.data());
@@ -86,7 +86,7 @@ class NoiseDerivative {
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
                 return true;
             };
-            if (part.kind == IMPLICIT && iterate(of_v, before, improve) < 0.0) return false;
+            if (part.kind == IMPLICIT && !iterate(of_v, before, improve)) return false;
             std::fill(through.begin(), through.end(), 0.0);
             add_hessian(part, t, of_v.data(), through.data());
             if (part.kind == IMPLICIT) part.half.pull(through.data(), row.data());
@@ -208,7 +208,7 @@ class NoiseDerivative {
         };
         if (kind != IMPLICIT)
             find_direction(part);
-        else if (iterate(part.at, before, improve) < 0.0)
+        else if (!iterate(part.at, before, improve))
             return false;
         if (!part.whole.of(v.data(), 1.0, now.data())) return false;
         now = part.whole.end;

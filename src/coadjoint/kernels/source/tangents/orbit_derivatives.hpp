@@ -3,6 +3,8 @@
 // `extent` have the metric divided by the length of each spin, the noise by its root, and `turning` grad H in v too.
 #pragma once
 
+#include <optional>
+
 #include "forces/force.hpp"
 #include "tangents/second_derivatives.hpp"
 
@@ -250,16 +252,16 @@ class Exponential {
 constexpr double SETTLED = 0x1p-50;  // relative change that is round-off
 
 // Improve numbers by a fixed-point iteration until the next change, which falls as the last ones did, is round-off, or changes
-// near round-off no longer fall. Return the last change relative to their size; negative if a step is false or there is no end.
-// The size is that of the numbers and `least`.
+// near round-off no longer fall. Return the last change relative to their size, that of the
+// numbers and `least`, or nothing if a step is false or there is no end.
 template <class Improve>
-double iterate(double* now, int64_t count, std::vector<double>& before, const Improve& improve, double least = 0.0) {
+std::optional<double> iterate(double* now, int64_t count, std::vector<double>& before, const Improve& improve, double least = 0.0) {
     constexpr int64_t MOST_ITERATIONS = 192;
     constexpr double NEAR_ROUND_OFF = 0x1p-40, FAST = 0x1p-3;
     double last = std::numeric_limits<double>::infinity(), fall_before = 1.0;
     for (int64_t k = 0; k < MOST_ITERATIONS; ++k) {
         before.assign(now, now + count);
-        if (!improve()) return -1.0;
+        if (!improve()) return {};
         double change = 0.0, size = least;
         for (int64_t i = 0; i < count; ++i) {
             change += absolute(now[i] - before[i]);
@@ -271,11 +273,11 @@ double iterate(double* now, int64_t count, std::vector<double>& before, const Im
             (change >= 0.5 * last && change <= NEAR_ROUND_OFF * size)) return change > 0.0 ? change / size : 0.0;
         last = change, fall_before = fall;
     }
-    return -1.0;
+    return {};
 }
 
 template <class Improve>
-double iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
+std::optional<double> iterate(std::vector<double>& now, std::vector<double>& before, const Improve& improve) {
     return iterate(now.data(), int64_t(now.size()), before, improve);
 }
 
@@ -322,7 +324,7 @@ class OrbitDerivative {
                 std::fill(dv.begin(), dv.end(), 0.0);
                 std::copy_n(dx, n, row.data());
                 if (of_spins) half.push_state(row.data());
-                const double change = iterate(dv, before, [&] {
+                const auto change = iterate(dv, before, [&] {
                     dm = row;
                     for (double& entry : dv) entry *= 0.5;
                     of_spins ? half.push_direction(dv.data(), dm.data()) : half.push(dv.data(), dm.data());
@@ -334,7 +336,7 @@ class OrbitDerivative {
                     for (int64_t i = 0; i < n; ++i) dv[i] += first[i];
                     return true;
                 });
-                if (change < 0.0) return false;
+                if (!change) return false;
                 one.push(dv.data(), dx);
             }
         }
@@ -358,13 +360,13 @@ class OrbitDerivative {
                 continue;
             }
             first = of_v;
-            const double change = iterate(of_v, before, [&] {
+            const auto change = iterate(of_v, before, [&] {
                 of_middle(t + 0.5 * tau, tau, of_v.data(), of_gradient.data(), through.data());
                 of_spins ? half.pull_direction(through.data(), row.data()) : half.pull(through.data(), row.data());
                 for (int64_t i = 0; i < n; ++i) of_v[i] = fma(0.5, row[i], first[i]);
                 return true;
             });
-            if (change < 0.0) return false;
+            if (!change) return false;
             if (of_spins) half.pull_state(through.data());
             // The last `through` is as accurate as `of_v`, which follows from it.
             for (int64_t i = 0; i < n; ++i) cotangent[i] += through[i];
@@ -476,15 +478,15 @@ class OrbitDerivative {
 
     // As `Force::settle`, from a first midpoint on, with the midpoint and the gradient there.
     bool settle(std::vector<double>& x, double t, double tau) {
-        const double change = iterate(middle, before, [&] {
+        const auto change = iterate(middle, before, [&] {
             slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
             direction_of(other.data(), gradients.data(), tau, v.data());
             if (!half.of(v.data(), 0.5, x.data())) return false;
             middle = half.end;
             return true;
         });
-        if (change < 0.0) return false;
-        if (!(change <= SETTLED)) slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
+        if (!change) return false;
+        if (!(*change <= SETTLED)) slope_at(field, SharedConstants{}, middle.data(), t + 0.5 * tau, tau, gradients.data(), other.data(), fields);
         for (int64_t i = 0; i < n; ++i) driven[i] = inverse[i] * other[i];
         Exponential& whole = next();
         if (!whole.of(v.data(), 1.0, x.data())) return false;
