@@ -3,12 +3,14 @@
     python benchmarks/derivatives.py [--steps N] [--rounds N]
     python benchmarks/derivatives.py --forces [NAME ...] [--steps N] [--rounds N]
     python benchmarks/derivatives.py --matrices [--steps N] [--rounds N]
+    python benchmarks/derivatives.py --batches [--steps N] [--rounds N]
     python benchmarks/derivatives.py --lattice 200 [--threads 1 2] [--rounds N]
 
 Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
 by the initial state and all parameters; its time contains the run. With --forces, runs with each registered force, or
 those named, by processor time. With --matrices, runs of fluids and a body as matrices, without and with forces, by
-processor time. With --lattice, those of one square lattice of spins in turns on each number of threads.
+processor time. With --batches, 32 unlike bodies with forces beside an ensemble of one of them, by processor time. With
+--lattice, those of one square lattice of spins in turns on each number of threads.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import argparse
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from itertools import product
 from time import process_time
 
 import numpy as np
@@ -182,6 +185,40 @@ def of_matrices(steps: int, rounds: int) -> None:
         print(f"{name:32s}{1e6 * plain / steps:8.1f}{one_tangent / plain:9.1f}{by_gradient / plain:10.1f}", flush=True)
 
 
+def of_batches(steps: int, rounds: int) -> None:
+    """Print processor times of tangents and gradients of ensembles, and those of unlike members relative to them."""
+    F, rng, factors = co.forces, np.random.default_rng(1), np.linspace(1.0, 1.1, 32)
+    forces = {
+        "LinearDamping": lambda f: F.LinearDamping(0.1 * f),
+        "Torque": lambda f: F.Torque(lambda x, gain: -gain * x * (x @ x), arguments={"gain": 0.1 * f}),
+        "DoubleBracketDamping": lambda f: F.DoubleBracketDamping(0.1 * f),
+        "HeatBath": lambda f: F.HeatBath(0.1 * f, temperature=0.1, seed=3),
+    }
+    x0, span = rng.uniform(0.2, 0.9, (32, 3)), (0.0, 0.05 * steps)
+    print(f"{'32 bodies':22s} moments of inertia  ms: tangent  gradient  of unlike ones: tangent  gradient")
+    for (name, force), spread in product(forces.items(), (0.1, 1.0)):
+        acting = [force(f) for f in factors]
+        moments = [(1.0, 2.0 + 0.2 * spread * (f - 0.9), 2.5) for f in factors]
+        bodies = [co.systems.rigid_body(one).with_forces(own) for one, own in zip(moments, acting, strict=True)]
+        calls = []
+        for system in (bodies[0], co.batch(bodies)):
+            ready = co.prepare(system, co.Splitting(), 0.05, threads=1)
+
+            def tangent(ready=ready):
+                ready.jvp(x0, span, {"x0": x0}, save_every=steps)
+
+            def gradient(ready=ready):
+                sol, pullback = ready.vjp(x0, span, save_every=steps)
+                pullback(x=sol.x)
+
+            gradient()
+            tangent()
+            calls += [tangent, gradient]
+        by_one, of_one, by_each, of_each = best(rounds, *calls, clock=process_time)
+        row = f"{name:22s} {f'2 to {moments[-1][1]:.4g}':20s}{1e3 * by_one:10.2f}{1e3 * of_one:10.2f}"
+        print(f"{row}{by_each / by_one:27.2f}{of_each / of_one:10.2f}", flush=True)
+
+
 def of_lattice(side: int, threads: list[int], rounds: int) -> None:
     """Print times of runs, tangents along one direction and gradients of lattices of equal and of unequal couplings."""
     rng = np.random.default_rng(1)
@@ -226,6 +263,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--forces", nargs="*", metavar="NAME", help="runs with each force, or those named")
     parser.add_argument("--matrices", action="store_true", help="runs of matrices")
+    parser.add_argument("--batches", action="store_true", help="unlike members with forces")
     parser.add_argument("--lattice", type=int, metavar="SIDE", help="spins on a side of a square lattice")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="with --lattice")
     given = parser.parse_args()
@@ -234,6 +272,9 @@ def main() -> None:
         return
     if given.matrices:
         of_matrices(min(given.steps, 200), given.rounds)
+        return
+    if given.batches:
+        of_batches(min(given.steps, 1000), given.rounds)
         return
     if given.forces is not None:
         of_forces(min(given.steps, 5000), given.rounds, given.forces)
