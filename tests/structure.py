@@ -22,13 +22,13 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # beside it what users gain.
 MAXIMA: dict[str, int] = {
     "Python files": 532,  # spins of SU(N), scattering, loops and barriers, files of simulators, PyTorch: a file each
-    "Python lines": 124_500,  # the same: what users of SpinW, Sunny, mumax3, planets and of learned forces look for
+    "Python lines": 125_000,  # the same: what users of SpinW, Sunny, mumax3, planets and of learned forces look for
     "longest file": 700,
     "isinstance": 640,  # values of files of others, energies and params of users
     "calls by text": 10,  # `sol.to_ovf` writes files
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
-    "C++ lines": 28_000,  # derivatives of forces and of matrices, fluids by Newton, dipoles, planets in a browser
+    "C++ lines": 28_500,  # derivatives of forces, of matrices and of their noise, fluids by Newton, dipoles, planets in a browser
     "test lines": 89_000,  # with what they test, dipoles of SU(N) last
     "test files that import internals": 80,
 }
