@@ -82,7 +82,8 @@ class DifferentiableRun:
         if self.base.differentiates(plain):
             check_differentiable(plain)
         self.prepared, self.system = prepared, system
-        self._original, self._values = given or (system, None)
+        self._original: Any = system if given is None else given[0]
+        self._values = None if given is None else given[1]
         self.parameters: Mapping[str, Parameter] = parameters_of_members(self._original, self._values)
         self.representation, self.inputs = prepared.representation, prepared.inputs
         self._tables: dict[Any, DerivativeTables] = {}
