@@ -67,8 +67,8 @@ class Arguments(NamedTuple):
 class DifferentiableRun:
     """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme."""
 
-    def __init__(self, prepared: PreparedRun, values: Mapping[str, Floats] | None = None) -> None:
-        # `values` of parameters, which may be zero, in place of all parameters that the system has.
+    def __init__(self, prepared: PreparedRun, given: tuple[Any, Mapping[str, Floats]] | None = None) -> None:
+        # `given` are a system and values of its parameters, with which that of the run was made; they may be zero.
         system = prepared.system
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
@@ -82,8 +82,9 @@ class DifferentiableRun:
         if self.base.differentiates(plain):
             check_differentiable(plain)
         self.prepared, self.system = prepared, system
-        self.parameters: Mapping[str, Parameter] = parameters_of_members(system, values)
-        self._values = values
+        self._original: Any = system if given is None else given[0]
+        self._values = None if given is None else given[1]
+        self.parameters: Mapping[str, Parameter] = parameters_of_members(self._original, self._values)
         self.representation, self.inputs = prepared.representation, prepared.inputs
         self._tables: dict[Any, DerivativeTables] = {}
 
@@ -97,9 +98,12 @@ class DifferentiableRun:
     def of_member(self, member: int) -> DifferentiableRun:
         """Return the derivatives of the run of one member of a batch alone."""
         prepared = self.prepared.of_member(member)
-        if self._values is None:
-            return DifferentiableRun.of(prepared)
-        return DifferentiableRun(prepared, values_of_member(self._values, member))
+        values = values_of_member(self._values, member)
+        return (
+            DifferentiableRun.of(prepared)
+            if values is None
+            else DifferentiableRun(prepared, (self._original[member], values))
+        )
 
     def energy(self, name: str, member: int = 0) -> EnergyDerivative:
         """Return the derivative of the energy by a parameter, or by the inputs for `INPUTS`."""
@@ -107,7 +111,7 @@ class DifferentiableRun:
             return by_linear(self.inputs)
         of_member = self.parameters
         if self.system.is_batch:
-            of_member = parameters_of_members(self.system[member], values_of_member(self._values, member))
+            of_member = parameters_of_members(self._original[member], values_of_member(self._values, member))
         energy = of_member[name].energy()
         return energy if self.inputs is None else without_inputs(energy, self.inputs)
 

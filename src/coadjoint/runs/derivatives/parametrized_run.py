@@ -238,7 +238,9 @@ class ParametrizedRun:
         key, (last, run) = _key(given), self._last_run
         if key != last:
             system = self._run.system
-            run = DifferentiableRun(self._prepared.of_system(with_parameters_of_members(system, changed)), given)
+            run = DifferentiableRun(
+                self._prepared.of_system(with_parameters_of_members(system, changed)), (system, given)
+            )
             self._last_run = key, run
         return run
 
