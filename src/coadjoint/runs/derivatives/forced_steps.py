@@ -66,6 +66,7 @@ CARRY_CALLBACK = ctypes.CFUNCTYPE(
 )
 
 
+DIFFERENT = "derivatives of the members have different coefficients; use prepared.jvp and prepared.vjp"
 # Derivatives in Python change the filters of warnings, which belong to all threads.
 ONE_AT_A_TIME = RLock()
 
@@ -271,32 +272,18 @@ class ForcedTables:
         )
 
 
-class MultiplesOfMembers(NamedTuple):
-    """The multiples of each member of a batch, which are of different coefficients."""
-
-    each: Sequence[Multiples]
-
-    @classmethod
-    def joined(cls, each: Sequence[Multiples]) -> Multiples | MultiplesOfMembers:
-        """Return the multiples of members with an axis of these if they are of the same coefficients."""
-        first = each[0]
-        pairs = [(one.position, first.position) for one in each] + [(one.number, first.number) for one in each]
-        if all(itertools.starmap(np.array_equal, pairs)):
-            return first._replace(factor=np.stack([one.factor for one in each]))
-        return cls(each)
-
-    def of_entries(self, by_constant: Floats, entries: int) -> Floats:
-        return np.stack([one.of_entries(row, entries) for one, row in zip(self.each, by_constant, strict=True)])
-
-    def of_directions(self, directions: Floats, count: int) -> Floats:
-        return np.stack([one.of_directions(rows, count) for one, rows in zip(self.each, directions, strict=True)])
+def _joined(each: Sequence[Multiples]) -> Multiples:
+    """Return the multiples of members with an axis of these; raise NotWritable if they are of other coefficients."""
+    first = each[0]
+    pairs = [(one.position, first.position) for one in each] + [(one.number, first.number) for one in each]
+    if not all(itertools.starmap(np.array_equal, pairs)):
+        raise NotWritable(DIFFERENT)
+    return first._replace(factor=np.stack([one.factor for one in each]))
 
 
 def joined_tables(each: Sequence[DerivativeTables], tables_at: Callable[..., Any]) -> DerivativeTables:
     """Return the derivatives of steps of the members of a batch, with `tables_at` of all."""
-    coefficients: dict[str, Any] = {
-        name: MultiplesOfMembers.joined([one.coefficients[name] for one in each]) for name in each[0].rules
-    }
+    coefficients = {name: _joined([one.coefficients[name] for one in each]) for name in each[0].rules}
     rules = {name: least_exact(one.rules[name] for one in each) for name in each[0].rules}
     keepalive = tuple(owner for one in each for owner in one.keepalive)
     return each[0]._replace(tables_at=tables_at, coefficients=coefficients, rules=rules, keepalive=keepalive)
@@ -307,7 +294,7 @@ def structure_of_members(structures: Sequence[Any], columns: tuple[Any, Sequence
     first = structures[0]
     sizes = [(one.coefficients, one.inner_coefficients, one.casimirs) for one in structures]
     if sizes != sizes[:1] * len(sizes):
-        raise NotWritable("derivatives of the members have different coefficients; use prepared.jvp and prepared.vjp")
+        raise NotWritable(DIFFERENT)
     addresses = np.array([ctypes.addressof(one) for one in structures], dtype=np.int64)
     joined = first.source._replace(apart=True, members=addresses)
     if columns is not None:

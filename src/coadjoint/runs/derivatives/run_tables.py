@@ -175,9 +175,8 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
         if columns is None or stepping is None or not columns.are_of(each, structures[0]):
             return structure_of_members(structures)
         inner = [columns.together(c * step, len(each)) for c in dict.fromkeys(forced.fractions)]
-        if any(one is None for one in inner):
-            return structure_of_members(structures)
-        return structure_of_members(structures, (stepping.each(columns.values)[0], inner))
+        in_columns = None if None in inner else (stepping.each(columns.values)[0], inner)
+        return structure_of_members(structures, in_columns)
 
     tables_at(h)  # raises NotWritable for members whose derivatives are not joined
     return joined_tables(each, tables_at)
