@@ -390,10 +390,55 @@ def test_cotangents_outside_of_the_algebra_are_projected(name, force):
     np.testing.assert_allclose(base.algebra.projected(gradients[0]), gradients[0], rtol=0, atol=1e-13)
 
 
-def test_dampings_of_matrices_take_bounded_work():
+STIRRING = {
+    "one matrix": (lambda A: (F.HamiltonianNoise(A[:1], 0.4, seed=4), DAMPED), co.IsospectralGauss()),
+    "two, behind a damping": (lambda A: (DAMPED, F.HamiltonianNoise(A, (0.3, 0.2), seed=4)), co.IsospectralGauss(2)),
+    "matrix of strengths": (
+        lambda A: (F.HamiltonianNoise(A, ((0.3, 0.1, 0.0), (0.2, -0.1, 0.4)), seed=3, levels=1),),
+        COMPOSED,
+    ),
+    "by many turns": (lambda A: (F.HamiltonianNoise(A, (20.0, 30.0), seed=4),), co.IsospectralGauss()),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("acting", STIRRING)
+@pytest.mark.parametrize("name", MATRICES)
+def test_noise_of_matrices_on_matrices(name, acting):
+    """By x0, strengths, and the parameters of the streams, in steps before and after which the noise acts."""
+    base, (forces, method), rng = MATRICES[name], STIRRING[acting], np.random.default_rng(5)
+    first, second = (drawn(base, rng) for _ in range(2))
+    if first.ndim == 3 and base.second_stream is None:  # a field that is only carried has no Hamiltonian
+        first, second = first[0], second[0]
+    elif first.ndim == 3 and acting == "two, behind a damping":
+        second = second[0]
+    draw = partial(drawn, base, members=(2,) if acting == "one matrix" else ())
+    build, x0 = changed(base.with_forces(*forces((first, second)))), draw(np.random.default_rng(3))
+    # Functions of states that turn many times are strongly curved.
+    error = 2.0**-20 if acting == "by many turns" else DIFFERENCE_ERROR
+    gradient = assert_derivatives(build, method, x0, (0.5, 0.5 + 6 * H), H, draw=draw, error=error)
+    assert np.all(np.abs(gradient["HamiltonianNoise.strength"]) > 1e-5)
+
+
+def test_noise_on_matrices_has_the_same_derivatives_on_each_number_of_threads():
+    base, rng = co.systems.reduced_mhd(N=8), np.random.default_rng(5)
+    noises = F.HamiltonianNoise(tuple(drawn(base, rng, (2,))), (0.3, 0.2), seed=4), F.TransportNoise(**F.TransportNoise.example)
+    x0, found = drawn(base, rng, (5,)), list[dict[str, object]]()
+    for threads in (1, 2):
+        ready = co.prepare(base.with_forces(*noises), co.IsospectralGauss(), H, threads=threads)
+        sol, pullback = ready.vjp(x0, (0.5, 1.0))
+        found.append(pullback(np.ones(sol.x.shape)))
+    assert all(np.array_equal(found[0][key], found[1][key]) for key in ("x0", "HamiltonianNoise.strength", "TransportNoise.strength"))
+
+
+TRANSPORTED = F.TransportNoise(**F.TransportNoise.example)
+
+
+@pytest.mark.parametrize("forces", [(DAMPED, HEATED), (TRANSPORTED,)], ids=["dampings", "noise"])
+def test_forces_along_orbits_of_matrices_take_bounded_work(forces):
     """They are differentiated by the kernels: in Python a flow took milliseconds."""
     base = co.systems.sphere_euler(N=8)
-    ready = co.prepare(base.with_forces(DAMPED, HEATED), co.IsospectralGauss(), H)
+    ready = co.prepare(base.with_forces(*forces), co.IsospectralGauss(), H)
     x0 = drawn(base, np.random.default_rng(3))
     ready.vjp(x0, (0.0, 1.0))
     with bounded_work(8.0):
