@@ -163,7 +163,18 @@ def of_matrices(steps: int, rounds: int) -> None:
         ),
         "DoubleBracketDamping, magnetic": (S.reduced_mhd(N=16).with_forces(F.DoubleBracketDamping(0.1)), one),
     }
-    print(f"{'matrices':32s} us/step  tangent  gradient")
+    rng = np.random.default_rng(2)
+    for label, base in (("sphere", S.sphere_euler), ("magnetic field", S.reduced_mhd)):
+        for N in (16, 32):
+            system = base(N=N)
+            entries = system.algebra.projected(rng.standard_normal((2, N, N)) + 1j * rng.standard_normal((2, N, N)))
+            rows[f"HamiltonianNoise, {label}, N = {N}"] = (
+                system.with_forces(F.HamiltonianNoise(tuple(0.2 * entries / np.sqrt(N)), (0.5, 0.4), seed=5)),
+                one,
+            )
+            noise = F.TransportNoise(degrees=(2, 3), strength=0.3, seed=7)
+            rows[f"TransportNoise, {label}, N = {N}"] = (system.with_forces(noise), one)
+    print(f"{'matrices':44s} us/step  tangent  gradient")
     for name, (system, method) in rows.items():
         entries = np.random.default_rng(1).standard_normal((2, *system.shape))
         x0 = system.unforced.algebra.projected(entries[0] + (1j * entries[1] if system.complex else 0.0))
@@ -182,7 +193,7 @@ def of_matrices(steps: int, rounds: int) -> None:
 
         gradient()
         plain, one_tangent, by_gradient = best(rounds, run, tangent, gradient, clock=process_time)
-        print(f"{name:32s}{1e6 * plain / steps:8.1f}{one_tangent / plain:9.1f}{by_gradient / plain:10.1f}", flush=True)
+        print(f"{name:44s}{1e6 * plain / steps:8.1f}{one_tangent / plain:9.1f}{by_gradient / plain:10.1f}", flush=True)
 
 
 def of_batches(steps: int, rounds: int) -> None:

@@ -349,6 +349,19 @@ def drawn(system, rng, members=()):
     return system.algebra.projected(x) / np.sqrt(system.algebra.N)
 
 
+def elements(system, count):
+    """Return Hamiltonians of noise on matrices: single matrices where the second field is only carried."""
+    found = drawn(system, np.random.default_rng(5), (count,))
+    return tuple(found[:, 0] if found.ndim == 4 and system.second_stream is None else found)
+
+
+ON_ORBITS = {
+    "damping": lambda system: DAMPED,
+    "bath": lambda system: HEATED,
+    "noise": lambda system: F.HamiltonianNoise(elements(system, 2), (0.3, 0.2), seed=4),
+}
+
+
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("acting", ON_MATRICES)
 @pytest.mark.parametrize("name", MATRICES)
@@ -365,23 +378,27 @@ def test_dampings_and_baths_of_matrices(name, acting):
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
+@pytest.mark.parametrize("acting", ON_ORBITS)
 @pytest.mark.parametrize("name", MATRICES)
-def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, force):
+def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, acting):
     base, rng = MATRICES[name], np.random.default_rng(4)
-    system, x0, direction = base.with_forces(force), drawn(base, rng), drawn(base, rng)
+    system, x0, direction = base.with_forces(ON_ORBITS[acting](base)), drawn(base, rng), drawn(base, rng)
     matrix = co.stepper(system, co.IsospectralGauss(), H).tangent(x0)
     found = co.prepare(system, co.IsospectralGauss(), H).jvp(x0, (0.0, H), {"x0": direction})[1].x[-1]
     np.testing.assert_allclose(base.to_vector(found), matrix @ base.to_vector(direction), rtol=0, atol=1e-13)
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("force", [DAMPED, HEATED], ids=["damping", "bath"])
+@pytest.mark.parametrize("acting", ON_ORBITS)
 @pytest.mark.parametrize("name", ["two fields", "function on blocks"])
-def test_cotangents_outside_of_the_algebra_are_projected(name, force):
+def test_cotangents_outside_of_the_algebra_are_projected(name, acting):
     """By the flow of a force, which comes first and last."""
     base, rng = MATRICES[name], np.random.default_rng(6)
-    ready, x0, span = co.prepare(base.with_forces(force), co.IsospectralGauss(), H), drawn(base, rng), (0.0, H)
+    ready, x0, span = (
+        co.prepare(base.with_forces(ON_ORBITS[acting](base)), co.IsospectralGauss(), H),
+        drawn(base, rng),
+        (0.0, H),
+    )
     sol, pullback = ready.vjp(x0, span)
     other = rng.standard_normal((*sol.x.shape, 2)) @ [1.0, 1.0j]
     other[0] = 0.0
@@ -390,10 +407,54 @@ def test_cotangents_outside_of_the_algebra_are_projected(name, force):
     np.testing.assert_allclose(base.algebra.projected(gradients[0]), gradients[0], rtol=0, atol=1e-13)
 
 
-def test_dampings_of_matrices_take_bounded_work():
+STIRRING = {
+    "one matrix": (lambda A: (F.HamiltonianNoise(A[:1], 0.4, seed=4), DAMPED), co.IsospectralGauss()),
+    "two, behind a damping": (lambda A: (DAMPED, F.HamiltonianNoise(A, (0.3, 0.2), seed=4)), co.IsospectralGauss(2)),
+    "matrix of strengths": (
+        lambda A: (F.HamiltonianNoise(A, ((0.3, 0.1, 0.0), (0.2, -0.1, 0.4)), seed=3, levels=1),),
+        COMPOSED,
+    ),
+    "by many turns": (lambda A: (F.HamiltonianNoise(A, (20.0, 30.0), seed=4),), co.IsospectralGauss()),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("acting", STIRRING)
+@pytest.mark.parametrize("name", MATRICES)
+def test_noise_of_matrices_on_matrices(name, acting):
+    """By x0, strengths, and the parameters of the streams, in steps before and after which the noise acts."""
+    base, (forces, method) = MATRICES[name], STIRRING[acting]
+    draw = partial(drawn, base, members=(2,) if acting == "one matrix" else ())
+    build, x0 = changed(base.with_forces(*forces(elements(base, 2)))), draw(np.random.default_rng(3))
+    # Functions of states that turn many times are strongly curved.
+    error = 2.0**-20 if acting == "by many turns" else DIFFERENCE_ERROR
+    gradient = assert_derivatives(build, method, x0, (0.5, 0.5 + 6 * H), H, draw=draw, error=error)
+    assert np.all(np.abs(gradient["HamiltonianNoise.strength"]) > 1e-5)
+
+
+def test_noise_on_matrices_has_the_same_derivatives_on_each_number_of_threads():
+    base, rng = co.systems.reduced_mhd(N=8), np.random.default_rng(5)
+    noises = (
+        F.HamiltonianNoise(elements(base, 2), (0.3, 0.2), seed=4),
+        F.TransportNoise(**F.TransportNoise.example),
+    )
+    x0, found = drawn(base, rng, (5,)), list[dict[str, object]]()
+    for threads in (1, 2):
+        ready = co.prepare(base.with_forces(*noises), co.IsospectralGauss(), H, threads=threads)
+        sol, pullback = ready.vjp(x0, (0.5, 1.0))
+        found.append(pullback(np.ones(sol.x.shape)))
+    names = "x0", "HamiltonianNoise.strength", "TransportNoise.strength"
+    assert all(np.array_equal(found[0][name], found[1][name]) for name in names)
+
+
+TRANSPORTED = F.TransportNoise(**F.TransportNoise.example)
+
+
+@pytest.mark.parametrize("forces", [(DAMPED, HEATED), (TRANSPORTED,)], ids=["dampings", "noise"])
+def test_forces_along_orbits_of_matrices_take_bounded_work(forces):
     """They are differentiated by the kernels: in Python a flow took milliseconds."""
     base = co.systems.sphere_euler(N=8)
-    ready = co.prepare(base.with_forces(DAMPED, HEATED), co.IsospectralGauss(), H)
+    ready = co.prepare(base.with_forces(*forces), co.IsospectralGauss(), H)
     x0 = drawn(base, np.random.default_rng(3))
     ready.vjp(x0, (0.0, 1.0))
     with bounded_work(8.0):

@@ -98,6 +98,8 @@ COEFFICIENTS = {
     "CONSTANT": ("aim",),
     "KICKS": ("rate",),
     "HAMILTONIAN_NOISE": ("rate",),
+    "MATRIX_NOISE": ("basis",),
+    "MODE_TRANSPORT": ("rate",),
 }
 ORDER_OF_LAWS = 2  # of schemes with one step of the classical Runge-Kutta method
 # By how much derivatives of the numbers of a table, relative to the largest one or to 1, may differ from whole ones,
@@ -127,6 +129,8 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
         found = _on_orbit(system, j, entries, using, first, 2)
     elif kind == "HAMILTONIAN_NOISE" and all(one.differentiable for H in _energies(force, plain) for one in H.terms()):
         found = FlowCoefficients("ON_ORBIT", first)
+    elif kind in ("MATRIX_NOISE", "MODE_TRANSPORT"):
+        found = FlowCoefficients("ON_ORBIT", first)
     elif kind == "SELECTIVE_DECAY" and (
         plain.has_matrices or all(term.differentiable for term in plain.hamiltonian.terms())
     ):
@@ -135,7 +139,7 @@ def flow_coefficients(system: Any, j: int, entries: Sequence[Any], order: int, f
     if kind == "DAMPING" and table.amplitude.any():
         names = (*names, "basis")
     # Squares of which functions consist have the strength of a noise in them.
-    if names and found is not in_python and not (kind == "HAMILTONIAN_NOISE" and (table.aim < 0.0).any()):
+    if names and using and found is not in_python and not (kind == "HAMILTONIAN_NOISE" and (table.aim < 0.0).any()):
         found = _of_numbers(system, j, order, names, entries, found)
     if found.kind == "IN_PYTHON" and not plain.has_matrices:
         return found

@@ -19,12 +19,7 @@ from coadjoint.systems.forces.orbit_flow import (
     midpoint,
 )
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
-from coadjoint.systems.matrices.conjugation import (
-    check_conjugated,
-    conjugated,
-    conjugation_tangent,
-)
-from coadjoint.systems.step_derivatives import dense_step, joined_steps
+from coadjoint.systems.matrices.conjugation import check_conjugated, conjugated
 from coadjoint.validation import as_tuples, read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -232,10 +227,10 @@ class NoiseOnSide(NamedTuple):
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         product, y = np.eye(len(x)), x
         if system.has_matrices:
-            steps = [dense_step(x, np.array(1.0))]
+            dX = system.algebra.projected(system.from_vector(product))
             for U in self.noise._unitaries(system, t, tau, self.side):
-                steps.append(conjugation_tangent(system, U, system.from_vector(steps[-1].end)))
-            return joined_steps(steps)
+                dX = conjugated(system, U, dX)
+            return np.asarray(system.to_vector(dX).T)
         for term, v in self.noise._flows(system, t, tau, self.side):
             if term is not None:
                 return None

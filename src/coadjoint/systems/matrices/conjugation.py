@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import IntegrationError
-from coadjoint.systems.step_derivatives import LinearizedStep
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -101,11 +100,6 @@ def damped(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Matri
     return np.asarray(X + system.bracket(A, M))
 
 
-def _exchanged(system: Any, X: Matrix) -> Matrix:
-    """Return pairs A0 + eps A1 in reverse order; other states are unchanged."""
-    return X if len(system.matrix_shape) == 2 or system.independent_layers else X[..., ::-1, :, :]
-
-
 def _adjoint(X: Matrix) -> Matrix:
     return np.conj(np.swapaxes(X, -1, -2))
 
@@ -152,21 +146,6 @@ def _fixed_point(improved: Callable[[Matrix], Matrix], start: Matrix, t: float) 
     raise IntegrationError(
         "the derivative of the damping did not converge; take a smaller step", step=1, time=t, residual=last
     )
-
-
-def conjugation_tangent(system: Any, U: Matrix, X: Matrix) -> LinearizedStep:
-    """Return a conjugation with its derivative, which maps matrices of the algebra, and the transpose."""
-    project = system.algebra.projected
-
-    def tangents(rows: Floats) -> Floats:
-        return np.asarray(system.to_vector(conjugated(system, U, project(system.from_vector(rows)))))
-
-    def cotangent(row: Floats) -> Floats:
-        # Products of pairs A0 + eps A1 are transposed by those of the adjoints, between exchanges of the layers.
-        found = conjugated(system, _adjoint(U), _exchanged(system, project(system.from_vector(row))))
-        return np.asarray(system.to_vector(project(_exchanged(system, found))))
-
-    return LinearizedStep(system.to_vector(conjugated(system, U, X)), tangents, cotangent)
 
 
 def adjoint_casimir(block: Any) -> float:

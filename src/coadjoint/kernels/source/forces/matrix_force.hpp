@@ -276,13 +276,13 @@ class OrbitDamping : public MatrixForce {
 // the address of the product of real matrices, and `amplitude` is one if the A_k commute. Those that are no modes are `sets` matrices in `basis`, each of
 // `direction[0]` layers.
 template <class T>
-class MatrixNoise final : public MatrixForce {
+class MatrixNoise : public MatrixForce {
   public:
     explicit MatrixNoise(const ForceTable& table)
         : table(table), modes(table.kind == MODE_TRANSPORT ? new ModeForce(table) : nullptr),
           by(table.function[0], table.function[3], table.extent, table.function[1]), depth(modes ? 1 : table.direction[0]),
           count(modes ? modes->deviates() : table.sets), commuting(table.amplitude[0] != 0.0),
-          increments(table, table.function[2], count, commuting ? 0 : count), factors(count) {}
+          increments(table, table.function[2], count, commuting ? 0 : count), factors(commuting ? 1 : 2) {}
 
     bool around_steps() const override { return true; }
 
@@ -291,41 +291,52 @@ class MatrixNoise final : public MatrixForce {
     }
 
     int64_t flow(double* x, double t, double h, int64_t member) override {
-        const BrownianIncrements::Step& step = increments.of(t, h, member);
-        if (commuting) return apply(step.sums, x);
-        // The last factor acts first.
-        for (int factor = 0; factor < 2; ++factor) {
-            const double share = (factor ? 1.0 : -1.0) * std::sqrt(0.5 * h);
-            for (int64_t k = 0; k < count; ++k)
-                factors[k] = fma(share, step.further[k], 0.5 * step.sums[k]);
-            if (const int64_t status = apply(factors, x)) return status;
+        for (const std::vector<double>& own : factors_of(t, h, member)) {
+            combine(own, modes ? table.rate : table.basis, by.A.data());
+            if (const int64_t status = by.exponential(depth)) return status;
+            InterruptCheck::of_this_call().after(by.work());
+            by.act(depth, reinterpret_cast<T*>(x));
         }
         return DONE;
     }
 
-  private:
+  protected:
     const ForceTable& table;
     const std::unique_ptr<ModeForce> modes;
     Conjugation<T> by;
     const int64_t depth, count;
     const bool commuting;
     BrownianIncrements increments;
-    std::vector<double> factors;
 
-    int64_t apply(const std::vector<double>& of_elements, double* x) {
-        const int64_t numbers = depth * by.square * int64_t(sizeof(T) / sizeof(double));
-        double* const A = reinterpret_cast<double*>(by.A.data());
-        std::fill_n(A, numbers, 0.0);
-        if (modes) modes->add(of_elements.data(), 1.0, A);
-        for (int64_t k = 0; k < (modes ? 0 : count); ++k) {
-            const double factor = of_elements[k], *element = table.basis + k * numbers;
-            for (int64_t e = 0; e < numbers; ++e) A[e] = fma(factor, element[e], A[e]);
+    // The factors of the elements in each exponential of a step; the first one acts first.
+    const std::vector<std::vector<double>>& factors_of(double t, double h, int64_t member) {
+        const BrownianIncrements::Step& step = increments.of(t, h, member);
+        if (commuting) factors[0] = step.sums;
+        for (size_t factor = 0; !commuting && factor < 2; ++factor) {
+            const double share = (factor ? 1.0 : -1.0) * std::sqrt(0.5 * h);
+            factors[factor].resize(count);
+            for (int64_t k = 0; k < count; ++k)
+                factors[factor][k] = fma(share, step.further[k], 0.5 * step.sums[k]);
         }
-        if (const int64_t status = by.exponential(depth)) return status;
-        InterruptCheck::of_this_call().after(by.work());
-        by.act(depth, reinterpret_cast<T*>(x));
-        return DONE;
+        return factors;
     }
+
+    int64_t numbers_of_element() const { return depth * by.square * int64_t(sizeof(T) / sizeof(double)); }
+
+    // The sum of elements that consist of these numbers, the amplitudes of modes or all entries.
+    void combine(const std::vector<double>& of_elements, const double* numbers, T* to) {
+        const int64_t size = numbers_of_element();
+        double* const A = reinterpret_cast<double*>(to);
+        std::fill_n(A, size, 0.0);
+        if (modes) modes->add(of_elements.data(), 1.0, A, numbers);
+        for (int64_t k = 0; k < (modes ? 0 : count); ++k) {
+            const double factor = of_elements[k], *element = numbers + k * size;
+            for (int64_t e = 0; e < size; ++e) A[e] = fma(factor, element[e], A[e]);
+        }
+    }
+
+  private:
+    std::vector<std::vector<double>> factors;
 };
 
 // `shape` is one if entries are complex; modes have complex entries.

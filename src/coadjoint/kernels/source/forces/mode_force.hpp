@@ -106,18 +106,34 @@ class ModeForce {
     // The count of normal deviates of a noise, two for each mode.
     int64_t deviates() const { return 2 * modes.count(); }
 
-    // Add the noise of a time with given deviates.
-    void add(const double* given, double tau, double* x) {
-        const double whole = std::sqrt(tau), half = std::sqrt(0.5 * tau);
-        const bool waves = table.shape == WAVES;
-        Complex* const W = reinterpret_cast<Complex*>(x + table.position);
-        modes.change(W, nullptr, nullptr, waves, [&](int64_t e, const Complex&) {
-            if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * given[2 * e]);
-            return Complex(half * table.rate[e] * given[2 * e], half * table.rate[e] * given[2 * e + 1]);
+    // Add the noise of a time with given deviates, and with other amplitudes than those of the table.
+    void add(const double* given, double tau, double* x, const double* amplitudes = nullptr) {
+        const double* const sizes = amplitudes ? amplitudes : table.rate;
+        modes.change(reinterpret_cast<Complex*>(x + table.position), nullptr, nullptr, table.shape == WAVES,
+                     [&](int64_t e, const Complex&) { return change_by(e, sizes[e], given, tau); });
+    }
+
+    // The derivatives by the amplitudes of the pairing of a skew-Hermitian matrix with the noise are added to those given.
+    void add_slopes(const double* given, double tau, const double* with, double* slopes) {
+        unchanged.assign(modes.size() * modes.size(), Complex(0.0));
+        modes.change(unchanged.data(), reinterpret_cast<const Complex*>(with), nullptr, false, [&](int64_t e, const Complex& c) {
+            const Complex unit = change_by(e, 1.0, given, tau);
+            // Entries off the diagonal are in both halves of the matrix, and waves on it with those of opposite numbers.
+            slopes[e] += (is_diagonal(e) ? 1.0 : 2.0) * (c.real() * unit.real() + c.imag() * unit.imag());
+            return Complex(0.0);
         });
     }
 
   private:
+    bool is_diagonal(int64_t e) const { return e < table.begin[1] && table.shape != WAVES; }
+
+    // The noise of a mode with an amplitude.
+    Complex change_by(int64_t e, double amplitude, const double* given, double tau) const {
+        if (is_diagonal(e)) return Complex(0.0, std::sqrt(tau) * amplitude * given[2 * e]);
+        const double size = std::sqrt(0.5 * tau) * amplitude;
+        return Complex(size * given[2 * e], size * given[2 * e + 1]);
+    }
+
     // The layers as they are before any changes, which several changes read.
     const Complex* as_before(const Complex* X) {
         if (table.function[0] <= 1) return X;

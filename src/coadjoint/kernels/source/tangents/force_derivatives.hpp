@@ -44,14 +44,14 @@ class ForceDerivative {
             noise.reset(new NoiseDerivative(force, tables.field, tables.group, table));
         else if (table.kind == derivatives::ON_ORBIT && force.kind == SELECTIVE_DECAY)
             decay.reset(new DecayDerivative(force, tables.field, table));
-        else if (table.kind == derivatives::ON_ORBIT && force.kind == ON_MATRIX_ORBIT)
-            damping = matrix_orbit_derivative(force, table);
+        else if (table.kind == derivatives::ON_ORBIT && (force.kind == ON_MATRIX_ORBIT || is_matrix_noise()))
+            on_matrices = matrix_orbit_derivative(force, table);
         else if (table.kind == derivatives::ON_ORBIT)
             orbit.reset(new OrbitDerivative(force, tables.field, table));
         if (force.kind == MODE_RATES && !force.function[1]) modes.reset(new ModeForce(force));
         if (force.kind == KICKS || is_noisy()) drawn.resize(std::max(n, force.extent));
         // The streams of a decay and of a damping of matrices are differentiated.
-        by_nodes = damping || (decay && force.extent) ? 0 : table.moved;
+        by_nodes = force.kind == ON_MATRIX_ORBIT || (decay && force.extent) ? 0 : table.moved;
         for (int64_t k = 0; k < NODES * by_nodes; ++k)
             nearby.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(table.nearby[k]), tables.field, tables.group, SHARED));
         slopes.resize(modes ? table.moved : 0);
@@ -76,7 +76,7 @@ class ForceDerivative {
         if (noise && !noise->push(x, at.t, at.tau, at.member, at.side, vectors, count, own, all.coefficients, element, of_elements))
             throw NotDifferentiated();
         if (decay && !decay->push(x, end, at.t, at.tau, vectors, count, own, all.coefficients)) throw NotDifferentiated();
-        if (damping && !damping->push(x, end, at.t, at.tau, at.member, at.place(), vectors, count, own, all.coefficients))
+        if (on_matrices && !on_matrices->push(x, end, at.t, at.tau, at.member, at.place(), vectors, count, own, all.coefficients))
             throw NotDifferentiated();
         if (whole || table.depends) {
             called.resize(count * all.called);
@@ -128,7 +128,7 @@ class ForceDerivative {
         if (noise && !noise->pull(x, at.t, at.tau, at.member, at.side, row, own, element, of_element))
             throw NotDifferentiated();
         if (decay && !decay->pull(x, end, at.t, at.tau, row, own)) throw NotDifferentiated();
-        if (damping && !damping->pull(x, end, at.t, at.tau, at.member, at.place(), row, own)) throw NotDifferentiated();
+        if (on_matrices && !on_matrices->pull(x, end, at.t, at.tau, at.member, at.place(), row, own)) throw NotDifferentiated();
     }
 
   private:
@@ -150,7 +150,7 @@ class ForceDerivative {
     std::unique_ptr<OrbitDerivative> orbit;
     std::unique_ptr<NoiseDerivative> noise;
     std::unique_ptr<DecayDerivative> decay;
-    std::unique_ptr<MatrixOrbitDerivative> damping;
+    std::unique_ptr<MatrixOrbitDerivative> on_matrices;
     std::unique_ptr<LawDerivative> law;
     std::unique_ptr<ModeForce> modes;  // of rates
     int64_t by_nodes = 0;  // moved parameters of which flows at nodes are taken
@@ -198,6 +198,7 @@ class ForceDerivative {
                 to[i] = fma(factor * matrix[shape() == DIAGONAL ? i : 0], from[i], to[i]);
     }
 
+    bool is_matrix_noise() const { return force.kind == MATRIX_NOISE || force.kind == MODE_TRANSPORT; }
     bool is_noisy() const { return force.kind == DAMPING && force.amplitude[0] > 0.0; }
 
     // The deviates of a flow, with which `Force` moves the state.

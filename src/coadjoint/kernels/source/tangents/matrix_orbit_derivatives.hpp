@@ -339,9 +339,172 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
     }
 };
 
+// Derivatives of the noise of Hamiltonians on matrices, by the state and by the numbers of its elements. Those of
+// X -> U X U* with U = exp(A), A a combination of elements, are
+//     dX -> U dX U* + [F(ad A) dA, U X U*],  F(z) = (exp(z) - 1)/z,
+// and ad A is skew in the pairing. F is summed as a series for A/2^s, and doubled by F(2z) = (1 + exp(z)) F(z)/2. Layers that
+// one element conjugates are paired each with itself.
+template <class T>
+class MatrixNoiseDerivative final : MatrixNoise<T>, public MatrixOrbitDerivative {
+    typedef MatrixNoise<T> Base;
+    using Base::table, Base::modes, Base::by, Base::depth, Base::count;
+
+  public:
+    MatrixNoiseDerivative(const ForceTable& force, const ForceDerivatives& derivatives)
+        : Base(force), derivatives(derivatives), products(by.products_of(depth)), n(by.n), square(by.square),
+          all(by.layers * square), size(depth * square), after(all), element(all), term(all), product(all) {}
+
+    bool push(const double*, const double* end, double t, double h, int64_t member, int64_t, double* vectors, int64_t carried,
+              const double* directions, int64_t stride) override {
+        if (!find(end, t, h, member)) return false;
+        for (int64_t v = 0; v < carried; ++v) {
+            T* const dX = reinterpret_cast<T*>(vectors) + v * all;
+            const double* const along = directions + v * stride;
+            const bool directed = std::any_of(along, along + derivatives.own, [](double entry) { return entry != 0.0; });
+            project(dX);
+            for (const Turn& turn : turns) {
+                conjugate_by(turn.E.back(), dX);
+                if (!directed) continue;
+                this->combine(turn.factors, along, element.data());
+                if (!average(turn, 1.0)) return false;
+                for (int64_t l = 0; l < all; l += size) bracket(element.data(), turn.after.data() + l, dX + l, true);
+            }
+        }
+        return true;
+    }
+
+    bool pull(const double*, const double* end, double t, double h, int64_t member, int64_t, double* cotangent,
+              double* by_coefficients) override {
+        if (!find(end, t, h, member)) return false;
+        T* const G = reinterpret_cast<T*>(cotangent);
+        project(G);
+        exchange(G);
+        for (size_t k = turns.size(); k-- > 0;) {
+            const Turn& turn = turns[k];
+            if (derivatives.own) {
+                for (int64_t l = 0; l < all; l += size) bracket(turn.after.data() + l, G + l, element.data(), l > 0);
+                if (!average(turn, -1.0)) return false;
+                exchange(element.data());
+                add_slopes(turn.factors, reinterpret_cast<const double*>(element.data()), by_coefficients);
+            }
+            conjugate_by(adjoint_of(turn.E.back()), G);
+        }
+        exchange(G);
+        return true;
+    }
+
+  private:
+    // One exponential: A/2^s, U - 1 of that and of its doubles, the state after it, and the factors of its elements.
+    struct Turn {
+        std::vector<T> A;
+        std::vector<std::vector<T>> E;
+        std::vector<T> after;
+        std::vector<double> factors;
+    };
+    static constexpr double MOST = 2.0, ROUNDING = 0x1p-56;  // of the norm of A/2^s, and of terms that are left out
+    static constexpr int MOST_TERMS = 64;
+    const ForceDerivatives& derivatives;
+    const Products<T>& products;
+    const int64_t n, square, all, size;
+    std::vector<Turn> turns;
+    std::vector<T> after, element, term, product;
+
+    bool find(const double* end, double t, double h, int64_t member) {
+        turns.clear();
+        for (const std::vector<double>& factors : this->factors_of(t, h, member)) {
+            Turn turn{std::vector<T>(size), {}, {}, factors};
+            this->combine(factors, modes ? table.rate : table.basis, turn.A.data());
+            double norm = std::sqrt(squares(turn.A.data(), square)), scale = 1.0;
+            if (!(norm - norm == 0.0)) return false;
+            int doublings = 0;
+            for (; norm * scale > MOST; scale *= 0.5) ++doublings;
+            for (int64_t e = 0; e < size; ++e) by.A[e] = turn.A[e] *= scale;
+            InterruptCheck::of_this_call().after(by.work());
+            if (by.exponential(depth) != DONE) return false;
+            turn.E.emplace_back(by.E.begin(), by.E.begin() + size);
+            for (; doublings > 0; --doublings) {
+                std::vector<T> next = turn.E.back();
+                products.multiply(next.data(), next.data(), product.data());
+                for (int64_t e = 0; e < size; ++e) next[e] = 2.0 * next[e] + product[e];
+                turn.E.push_back(std::move(next));
+            }
+            turns.push_back(std::move(turn));
+        }
+        std::copy_n(reinterpret_cast<const T*>(end), all, after.data());
+        for (size_t k = turns.size(); derivatives.own && k-- > 0;) {
+            turns[k].after = after;
+            if (k) conjugate_by(adjoint_of(turns[k].E.back()), after.data());
+        }
+        return true;
+    }
+
+    double squares(const T* X, int64_t entries) const {
+        const int64_t numbers = entries * int64_t(sizeof(T) / sizeof(double));
+        return dot(numbers, reinterpret_cast<const double*>(X), reinterpret_cast<const double*>(X));
+    }
+
+    // Vectors and cotangents are those of the algebra.
+    void project(T* X) const {
+        for (int64_t l = 0; l < all; l += square) skew_part(n, X + l, 0.5, X + l, false);
+    }
+
+    void exchange(T* X) const {
+        if (depth == 2) std::swap_ranges(X, X + square, X + square);
+    }
+
+    // to := [A, B], or to += that.
+    void bracket(const T* A, const T* B, T* to, bool add) {
+        InterruptCheck::of_this_call().after(by.work() / 8);
+        products.multiply(A, B, product.data());
+        for (int64_t l = 0; l < size; l += square) skew_part(n, product.data() + l, 1.0, to + l, add);
+    }
+
+    // X := (1 + E) X (1 + E)*
+    void conjugate_by(const std::vector<T>& E, T* X) {
+        std::copy_n(E.data(), size, by.E.data());
+        by.act(depth, X);
+    }
+
+    std::vector<T> adjoint_of(const std::vector<T>& E) const {
+        std::vector<T> to(size);
+        for (int64_t l = 0; l < size; l += square)
+            for (int64_t i = 0; i < n; ++i)
+                for (int64_t j = 0; j < n; ++j) to[l + i * n + j] = conjugate(E[l + j * n + i]);
+        return to;
+    }
+
+    // The element becomes F(ad A) of itself, or F(-ad A).
+    bool average(const Turn& turn, double sign) {
+        const double least = ROUNDING * ROUNDING * squares(element.data(), size);
+        std::copy_n(element.data(), size, term.data());
+        int k = 1;
+        for (; k < MOST_TERMS && !(squares(term.data(), size) <= least); ++k) {
+            bracket(turn.A.data(), term.data(), term.data(), false);
+            for (int64_t e = 0; e < size; ++e) element[e] += term[e] *= sign / double(k + 1);
+        }
+        for (size_t s = 0; s + 1 < turn.E.size(); ++s) {
+            std::copy_n(element.data(), size, term.data());
+            conjugate_by(sign > 0.0 ? turn.E[s] : adjoint_of(turn.E[s]), term.data());
+            for (int64_t e = 0; e < size; ++e) element[e] = 0.5 * (element[e] + term[e]);
+        }
+        return k < MOST_TERMS;
+    }
+
+    void add_slopes(const std::vector<double>& factors, const double* of_element, double* by_coefficients) {
+        const int64_t numbers = this->numbers_of_element();
+        if (modes) modes->add_slopes(factors.data(), 1.0, of_element, by_coefficients);
+        for (int64_t k = 0; k < (modes ? 0 : count); ++k)
+            for (int64_t e = 0; e < numbers; ++e)
+                by_coefficients[k * numbers + e] = fma(factors[k], of_element[e], by_coefficients[k * numbers + e]);
+    }
+};
+
 inline std::unique_ptr<MatrixOrbitDerivative> matrix_orbit_derivative(const ForceTable& force, const ForceDerivatives& table) {
-    if (force.shape) return std::unique_ptr<MatrixOrbitDerivative>(new DampingDerivative<Complex>(force, table));
-    return std::unique_ptr<MatrixOrbitDerivative>(new DampingDerivative<double>(force, table));
+    typedef std::unique_ptr<MatrixOrbitDerivative> Found;
+    const bool real = force.kind != MODE_TRANSPORT && !force.shape;
+    if (force.kind != ON_MATRIX_ORBIT)
+        return real ? Found(new MatrixNoiseDerivative<double>(force, table)) : Found(new MatrixNoiseDerivative<Complex>(force, table));
+    return real ? Found(new DampingDerivative<double>(force, table)) : Found(new DampingDerivative<Complex>(force, table));
 }
 
 }  // namespace coadjoint
