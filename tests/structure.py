@@ -28,7 +28,7 @@ MAXIMA: dict[str, int] = {
     "calls by text": 10,  # `sol.to_ovf` writes files
     "files in cycles, with calls by text and imports inside functions and for types": 70,
     "modules behind integrate": 102,
-    "C++ lines": 28_500,  # derivatives of forces, of matrices and of their noise, fluids by Newton, dipoles, planets in a browser
+    "C++ lines": 28_500,  # derivatives of forces, of matrices and of their noise; fluids, dipoles, planets in a browser
     "test lines": 89_000,  # with what they test, dipoles of SU(N) last
     "test files that import internals": 80,
 }
