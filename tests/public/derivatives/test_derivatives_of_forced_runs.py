@@ -653,6 +653,31 @@ def test_unlike_members_with_forces_have_the_derivatives_of_single_runs(name):
         assert all(np.array_equal(gradient[name][m], value) for name, value in by_one.items())
 
 
+def test_members_of_the_same_system_have_noise_of_their_own():
+    """Beside another system, of which the derivatives are taken together."""
+    first, second = of_members(lambda f: F.HeatBath(0.3 * f, temperature=0.5, seed=7), count=2)
+    systems, span = [first, second, first, second], (0.5, 0.5 + 4 * H)
+    ready = co.prepare(co.batch(systems), co.Splitting(), H)
+    _, tangents = ready.jvp(X3, span, {"x0": np.tile(X3, (4, 1))})
+    for m, system in enumerate(systems):
+        alone = co.prepare(system.among(m, m + 1), co.Splitting(), H).jvp(X3, span, {"x0": X3})[1].x
+        np.testing.assert_allclose(tangents.x[:, m], alone, rtol=0, atol=1e-14)
+
+
+def test_members_of_which_one_needs_differences():
+    """They have one rule, and are differentiated together or not by the parameters of each call."""
+    laws = (lambda x, gain: -gain * x), (lambda x, gain: -(gain**3) * x)
+    systems = [BODY.with_forces(F.Torque(law, arguments={"gain": 0.3})) for law in laws]
+    ready, span, name = co.prepare(co.batch(systems), co.Splitting(), H), (0.5, 0.5 + 4 * H), "Torque.arguments.gain"
+    assert ready.jvp(X3, span, {"x0": np.tile(X3, (2, 1))})[1].rule == {}
+    sol, pullback = ready.vjp(X3, span)
+    gradient = pullback(sol.x)
+    assert gradient.rule[name] == ready.jvp(X3, span, {name: np.ones(2)})[1].rule[name] == "differences"
+    for m, system in enumerate(systems):
+        one, pullback = co.prepare(system, co.Splitting(), H).vjp(X3, span)
+        np.testing.assert_allclose(gradient[name][m], pullback(one.x)[name], rtol=0, atol=1e-13)
+
+
 def test_gradients_of_unlike_members_with_forces_take_few_times_those_of_an_ensemble():
     """Forces of members one after the other, with a call for each, took ten times as long."""
     count, x0 = 32, np.random.default_rng(5).uniform(0.2, 0.9, (32, 3))
