@@ -96,6 +96,17 @@ def test_dampings_on_the_orbit_are_differentiated_with_an_energy_of_the_time(dam
     np.testing.assert_allclose(tangents.x[-1], (ends[0] - ends[1]).T / (2 * h), rtol=0, atol=1e-7)
 
 
+METHODS_IN_TIME = co.Splitting(order=4), co.GaussLegendre(1), co.SphericalMidpoint(), co.CommutatorFree(3)
+
+
+@pytest.mark.parametrize("method", METHODS_IN_TIME, ids=repr)
+def test_an_energy_of_the_time_between_flows_of_forces(method):
+    """In substeps of several lengths, which begin at their own times, by the state, the energy and the forces."""
+    damping, own = (F.DoubleBracketDamping, {"alpha": 0.4}), (F.LinearDamping, {"rate": 0.1, "toward": 0.2})
+    composed = method if method in METHODS_IN_TIME[::3] else co.Composition(method, (0.75, -0.5, 0.75))
+    assert_derivatives(forced(timed, damping, own), composed, X3, (0.5, 0.5 - 3 * H), H)
+
+
 @pytest.mark.parametrize(
     "force",
     [

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 from derivative_checks import DIFFERENCE_ERROR, assert_derivatives, outputs
+from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from guards import bounded_work
@@ -277,6 +278,27 @@ def test_several_directions_of_a_parameter_at_once(name):
     assert np.abs(alone[-1]).max() > 0.05
 
 
+def test_several_directions_of_a_parameter_of_a_stream_at_once():
+    """By steps and by a damping, whose first direction is zero; in more flows than their predictions read."""
+    base, span = MATRICES["parameters"], (0.5, 0.5 + 12 * H)
+    x0 = drawn(base, np.random.default_rng(3))
+    ready = co.prepare(base.with_forces(DAMPED), co.IsospectralGauss(), H)
+    together = ready.jvp(x0, span, {"gamma": np.array([0.0, 1.0, -2.0])})[1].x
+    ends = [
+        co.prepare(
+            co.systems.sphere_qg(N=4, lamb=2.0, gamma=0.5 + d, rotation=0.5).with_forces(DAMPED),
+            co.IsospectralGauss(),
+            H,
+        )
+        .run(x0, span)
+        .x[-1]
+        for d in (2.0**-14, -(2.0**-14))
+    ]
+    wanted = np.multiply.outer((ends[0] - ends[1]) * 2.0**13, [0.0, 1.0, -2.0])
+    np.testing.assert_allclose(together[-1], wanted, rtol=0, atol=1e-8)
+    assert np.abs(wanted).max() > 1e-3
+
+
 def test_each_entry_of_a_matrix_of_hamiltonians_has_a_derivative():
     """Also those that are zero, which the tables of the noise leave out."""
     fields, d = np.array([[1.0, 0.3, 0.0], [0.0, 1.0, 2.0]]), 1e-5
@@ -299,12 +321,13 @@ def test_each_entry_of_a_matrix_of_hamiltonians_has_a_derivative():
 
 @pytest.mark.parametrize("force", [F.DoubleBracketDamping(0.3), F.HeatBath(0.3, temperature=0.2, seed=5)], ids=repr)
 def test_a_damping_by_a_stream_of_the_time_is_differentiated_at_its_time(force):
-    """Backward as forward, against differences of runs, whose error is d^2."""
+    """Backward as forward, in substeps of two lengths, against differences of runs, whose error is d^2."""
     g, rng, d = co.MatrixAlgebra("su", 3), np.random.default_rng(1), 1e-5
     weights = np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 1.5], [3.0, 1.5, 1.0]])
     pulsed = co.MatrixSystem(g, lambda W, t: (1.0 + 0.8 * np.sin(2.0 * t)) * weights * W)
     x0, along, w = (g.projected(rng.standard_normal((3, 3)) + 1j * rng.standard_normal((3, 3))) for _ in range(3))
-    ready, span = co.prepare(pulsed.with_forces(force), co.IsospectralGauss(), 0.1), (0.3, 0.8)
+    composed, span = co.Composition(co.IsospectralGauss(), (0.75, -0.5, 0.75)), (0.3, 0.8)
+    ready = co.prepare(pulsed.with_forces(force), composed, 0.1)
     ahead, behind = (ready.run(x0 + sign * d * along, span).x[-1] for sign in (1, -1))
     wanted = (ahead - behind) / (2 * d)
     np.testing.assert_allclose(ready.jvp(x0, span, {"x0": along})[1].x[-1], wanted, rtol=0, atol=1e-7)
@@ -605,16 +628,19 @@ def test_a_kink_at_the_state_is_differentiated_as_before():
 
 
 def test_members_have_the_derivatives_of_single_runs():
+    """Each from an attitude of its own."""
     system = BODY.with_forces(F.LinearDamping(FULL, toward=AIM), F.HeatBath(0.2, temperature=0.3, seed=5))
     ready, x0 = co.prepare(system, co.Splitting(), H, attitude=True), np.outer(np.linspace(0.5, 1.5, 35), X3)
-    sol, pullback = ready.vjp(x0, (0.5, 1.0))
-    found = pullback(sol.x, attitude=sol.attitude)
+    attitudes = Rotation.from_rotvec(np.linspace(0.0, 1.0, 35)[:, None] * AIM).as_matrix()
+    sol, pullback = ready.vjp(x0, (0.5, 1.0), attitude=attitudes)
+    weights = np.random.default_rng(2).standard_normal(sol.attitude.shape)
+    found = pullback(sol.x, attitude=weights)
     parts = []
     for m in (0, 34):
         of_member = co.prepare(system.among(m, m + 1), co.Splitting(), H, attitude=True)
-        one, pullback = of_member.vjp(x0[m], (0.5, 1.0))
+        one, pullback = of_member.vjp(x0[m], (0.5, 1.0), attitude=attitudes[m])
         assert np.array_equal(one.x, sol.x[:, m])
-        parts.append((m, pullback(one.x, attitude=one.attitude)))
+        parts.append((m, pullback(one.x, attitude=weights[:, m])))
     for m, gradient in parts:
         np.testing.assert_allclose(found["x0"][m], gradient["x0"], rtol=0, atol=1e-13 * np.abs(gradient["x0"]).max())
 
@@ -640,7 +666,7 @@ def sampled(f):
 
 # Forces, a scheme, how many members, whether with the attitude, and in which direction of time.
 BATCHES = {
-    "damping": ((damping,), co.Splitting(), 35, False, 1),
+    "damping": ((damping,), co.Splitting(), 45, False, 1),  # of one order of parts are 39, in two blocks of lanes
     "damping, then a law, backward": ((damping, driven), co.Splitting(order=4), 3, True, -1),
     "law, then a damping": ((driven, damping), co.Splitting(order=4), 9, False, 1),
     "matrix of rates": ((lambda f: F.LinearDamping(f * FULL, toward=AIM),), co.GaussLegendre(1), 3, True, 1),
@@ -686,6 +712,31 @@ def test_unlike_members_with_forces_have_the_derivatives_of_single_runs(name):
         by_one = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
         assert {*by_one} == {*gradient}
         assert all(np.array_equal(gradient[name][m], value) for name, value in by_one.items())
+
+
+def test_members_of_the_same_system_have_noise_of_their_own():
+    """Beside another system, of which the derivatives are taken together."""
+    first, second = of_members(lambda f: F.HeatBath(0.3 * f, temperature=0.5, seed=7), count=2)
+    systems, span = [first, second, first, second], (0.5, 0.5 + 4 * H)
+    ready = co.prepare(co.batch(systems), co.Splitting(), H)
+    _, tangents = ready.jvp(X3, span, {"x0": np.tile(X3, (4, 1))})
+    for m, system in enumerate(systems):
+        alone = co.prepare(system.among(m, m + 1), co.Splitting(), H).jvp(X3, span, {"x0": X3})[1].x
+        np.testing.assert_allclose(tangents.x[:, m], alone, rtol=0, atol=1e-14)
+
+
+def test_members_of_which_one_needs_differences():
+    """They have one rule, and are differentiated together or not by the parameters of each call."""
+    laws = (lambda x, gain: -gain * x), (lambda x, gain: -(gain**3) * x)
+    systems = [BODY.with_forces(F.Torque(law, arguments={"gain": 0.3})) for law in laws]
+    ready, span, name = co.prepare(co.batch(systems), co.Splitting(), H), (0.5, 0.5 + 4 * H), "Torque.arguments.gain"
+    assert ready.jvp(X3, span, {"x0": np.tile(X3, (2, 1))})[1].rule == {}
+    sol, pullback = ready.vjp(X3, span)
+    gradient = pullback(sol.x)
+    assert gradient.rule[name] == ready.jvp(X3, span, {name: np.ones(2)})[1].rule[name] == "differences"
+    for m, system in enumerate(systems):
+        one, pullback = co.prepare(system, co.Splitting(), H).vjp(X3, span)
+        np.testing.assert_allclose(gradient[name][m], pullback(one.x)[name], rtol=0, atol=1e-13)
 
 
 def test_gradients_of_unlike_members_with_forces_take_few_times_those_of_an_ensemble():

@@ -117,8 +117,8 @@ def _in_columns(prepared: PreparedRun, names: frozenset[str]) -> _Joined:
             # The others are differentiated in one call too; and all with noise, which is that of their numbers.
             together = np.concatenate([np.zeros(0, dtype=np.int64), *(members for members, _ in found)])
             rest = np.arange(len(system)) if loops.order is None else loops.order
-            if len(together) < len(system) and system.has_noise:
-                found = [(rest, prepared)]
+            if system.has_noise and (len(together) < len(system) or found[0][1] is not prepared):
+                found = [(np.arange(len(system)), prepared)]
             elif len(rest := rest[~np.isin(rest, together)]) > 1:
                 found.append((rest, _run_of(prepared, rest)))
             found = [(members, run) for members, run in found if _joins(run, names)]
