@@ -163,17 +163,12 @@ def of_matrices(steps: int, rounds: int) -> None:
         ),
         "DoubleBracketDamping, magnetic": (S.reduced_mhd(N=16).with_forces(F.DoubleBracketDamping(0.1)), one),
     }
-    rng = np.random.default_rng(2)
-    for label, base in (("sphere", S.sphere_euler), ("magnetic field", S.reduced_mhd)):
-        for N in (16, 32):
-            system = base(N=N)
-            entries = system.algebra.projected(rng.standard_normal((2, N, N)) + 1j * rng.standard_normal((2, N, N)))
-            rows[f"HamiltonianNoise, {label}, N = {N}"] = (
-                system.with_forces(F.HamiltonianNoise(tuple(0.2 * entries / np.sqrt(N)), (0.5, 0.4), seed=5)),
-                one,
-            )
-            noise = F.TransportNoise(degrees=(2, 3), strength=0.3, seed=7)
-            rows[f"TransportNoise, {label}, N = {N}"] = (system.with_forces(noise), one)
+    for base, N in product((S.sphere_euler, S.reduced_mhd), (16, 32)):
+        system, rng = base(N=N), np.random.default_rng(2)
+        entries = rng.standard_normal((2, N, N)) + 1j * rng.standard_normal((2, N, N))
+        matrices = tuple(0.2 * system.algebra.projected(entries) / np.sqrt(N))
+        for noise in (F.HamiltonianNoise(matrices, (0.5, 0.4), seed=5), F.TransportNoise((2, 3), 0.3, seed=7)):
+            rows[f"{type(noise).__name__}, {base.__name__}, N = {N}"] = (system.with_forces(noise), one)
     print(f"{'matrices':44s} us/step  tangent  gradient")
     for name, (system, method) in rows.items():
         entries = np.random.default_rng(1).standard_normal((2, *system.shape))

@@ -352,6 +352,33 @@ MATRICES = {
     "real": co.systems.matrix_body((1.0, 1.5, 2.0, 3.0)),
     "function on blocks": co.MatrixSystem(BLOCKS, lambda W: WEIGHTS * W, linear=BLOCKS.projected(0.3j * WEIGHTS)),
 }
+
+
+def drawn(system, rng, members=()):
+    """Return states of a system of matrices."""
+    shape = (*members, *system.shape)
+    x = rng.standard_normal(shape) + (1j * rng.standard_normal(shape) if system.complex else 0.0)
+    return system.algebra.projected(x) / np.sqrt(system.algebra.N)
+
+
+def stirred(strength, **more):
+    """Return a function that makes a noise of matrices; they are single ones where the second field is only carried."""
+
+    def noise(system):
+        found = drawn(
+            system, np.random.default_rng(5), (np.size(strength) if np.ndim(strength) < 2 else len(strength),)
+        )
+        elements = found[:, 0] if found.ndim == 4 and system.second_stream is None else found
+        return F.HamiltonianNoise(tuple(elements), strength, seed=4, **more)
+
+    return noise
+
+
+def along_orbits(system, *forces):
+    """Return a system with forces, or with those that functions of it make."""
+    return system.with_forces(*(one(system) if callable(one) else one for one in forces))
+
+
 DAMPED, HEATED = F.DoubleBracketDamping(0.4, 0.7), F.HeatBath(0.4, 0.7, temperature=0.3, seed=5)
 ON_MATRICES = {
     "damping": ((DAMPED,), co.IsospectralGauss(), 1),
@@ -362,122 +389,64 @@ ON_MATRICES = {
     "bath, then damping": ((HEATED, DAMPED), co.IsospectralGauss(), 1),
     "cold": ((F.HeatBath(0.4, temperature=0.0, seed=5),), co.IsospectralGauss(), 1),
     "hot": ((F.HeatBath(0.4, temperature=10.0, seed=5),), co.IsospectralGauss(), 1),
-}
-
-
-def drawn(system, rng, members=()):
-    """Return states of a system of matrices."""
-    shape = (*members, *system.shape)
-    x = rng.standard_normal(shape) + (1j * rng.standard_normal(shape) if system.complex else 0.0)
-    return system.algebra.projected(x) / np.sqrt(system.algebra.N)
-
-
-def elements(system, count):
-    """Return Hamiltonians of noise on matrices: single matrices where the second field is only carried."""
-    found = drawn(system, np.random.default_rng(5), (count,))
-    return tuple(found[:, 0] if found.ndim == 4 and system.second_stream is None else found)
-
-
-ON_ORBITS = {
-    "damping": lambda system: DAMPED,
-    "bath": lambda system: HEATED,
-    "noise": lambda system: F.HamiltonianNoise(elements(system, 2), (0.3, 0.2), seed=4),
+    "noise, then damping": ((stirred(0.4), DAMPED), co.IsospectralGauss(), 1),
+    "damping, then noise": ((DAMPED, stirred((0.3, 0.2))), co.IsospectralGauss(2), 1),
+    "noise, composed": ((stirred(((0.3, 0.1, 0.0), (0.2, -0.1, 0.4)), levels=1),), COMPOSED, 1),
+    "noise of many turns": ((stirred((8.0, 10.0)),), co.IsospectralGauss(), 1),
 }
 
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("acting", ON_MATRICES)
 @pytest.mark.parametrize("name", MATRICES)
-def test_dampings_and_baths_of_matrices(name, acting):
+def test_dampings_baths_and_noise_of_matrices(name, acting):
     """With streams of each kind, by x0, strengths, and the parameters of the streams."""
     base, (forces, method, direction) = MATRICES[name], ON_MATRICES[acting]
     draw = partial(drawn, base, members=(2,) if acting == "bath" else ())
-    build, x0, end = changed(base.with_forces(*forces)), draw(np.random.default_rng(3)), 0.5 + 4 * direction * H
-    points = (0.5, 0.5 + (2 if any(force.random for force in forces) else 1.3) * direction * H, end)
-    gradient = assert_derivatives(build, method, x0, (0.5, end), H, draw=draw, t_eval=points)
-    strengths = ["alpha", "metric", "temperature"] if acting == "bath" else ["alpha", "metric"]
-    for key in (f"{type(force).__name__}.{one}" for force in forces for one in strengths):
-        assert abs(gradient[key]) > 1e-5
+    system, x0, end = along_orbits(base, *forces), draw(np.random.default_rng(3)), 0.5 + 4 * direction * H
+    points = (0.5, 0.5 + (2 if system.has_noise else 1.3) * direction * H, end)
+    gradient = assert_derivatives(changed(system), method, x0, (0.5, end), H, draw=draw, t_eval=points)
+    strengths = ["alpha", "metric", "strength", *(["temperature"] if acting == "bath" else [])]
+    for name in (name for name in gradient if name.split(".")[-1] in strengths):
+        assert np.all(np.abs(gradient[name]) > 1e-5)
+
+
+ALONG = DAMPED, HEATED, stirred((0.3, 0.2))
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("acting", ON_ORBITS)
+@pytest.mark.parametrize("force", ALONG, ids=["damping", "bath", "noise"])
 @pytest.mark.parametrize("name", MATRICES)
-def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, acting):
+def test_steps_of_matrices_in_the_kernels_have_the_tangents_of_numpy(name, force):
     base, rng = MATRICES[name], np.random.default_rng(4)
-    system, x0, direction = base.with_forces(ON_ORBITS[acting](base)), drawn(base, rng), drawn(base, rng)
+    system, x0, direction = along_orbits(base, force), drawn(base, rng), drawn(base, rng)
     matrix = co.stepper(system, co.IsospectralGauss(), H).tangent(x0)
     found = co.prepare(system, co.IsospectralGauss(), H).jvp(x0, (0.0, H), {"x0": direction})[1].x[-1]
     np.testing.assert_allclose(base.to_vector(found), matrix @ base.to_vector(direction), rtol=0, atol=1e-13)
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("acting", ON_ORBITS)
+@pytest.mark.parametrize("force", ALONG, ids=["damping", "bath", "noise"])
 @pytest.mark.parametrize("name", ["two fields", "function on blocks"])
-def test_cotangents_outside_of_the_algebra_are_projected(name, acting):
-    """By the flow of a force, which comes first and last."""
-    base, rng = MATRICES[name], np.random.default_rng(6)
-    ready, x0, span = (
-        co.prepare(base.with_forces(ON_ORBITS[acting](base)), co.IsospectralGauss(), H),
-        drawn(base, rng),
-        (0.0, H),
-    )
-    sol, pullback = ready.vjp(x0, span)
-    other = rng.standard_normal((*sol.x.shape, 2)) @ [1.0, 1.0j]
+def test_cotangents_outside_of_the_algebra_are_projected(name, force):
+    """By the flow of a force, which comes first and last, on each number of threads with the same bits."""
+    base, rng, found = MATRICES[name], np.random.default_rng(6), list[dict[str, object]]()
+    x0, other = drawn(base, rng, (3,)), rng.standard_normal((2, 3, *base.shape, 2)) @ [1.0, 1.0j]
     other[0] = 0.0
-    gradients = [pullback(one)["x0"] for one in (other, base.algebra.projected(other))]
-    np.testing.assert_allclose(*gradients, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(base.algebra.projected(gradients[0]), gradients[0], rtol=0, atol=1e-13)
-
-
-STIRRING = {
-    "one matrix": (lambda A: (F.HamiltonianNoise(A[:1], 0.4, seed=4), DAMPED), co.IsospectralGauss()),
-    "two, behind a damping": (lambda A: (DAMPED, F.HamiltonianNoise(A, (0.3, 0.2), seed=4)), co.IsospectralGauss(2)),
-    "matrix of strengths": (
-        lambda A: (F.HamiltonianNoise(A, ((0.3, 0.1, 0.0), (0.2, -0.1, 0.4)), seed=3, levels=1),),
-        COMPOSED,
-    ),
-    "by many turns": (lambda A: (F.HamiltonianNoise(A, (20.0, 30.0), seed=4),), co.IsospectralGauss()),
-}
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("acting", STIRRING)
-@pytest.mark.parametrize("name", MATRICES)
-def test_noise_of_matrices_on_matrices(name, acting):
-    """By x0, strengths, and the parameters of the streams, in steps before and after which the noise acts."""
-    base, (forces, method) = MATRICES[name], STIRRING[acting]
-    draw = partial(drawn, base, members=(2,) if acting == "one matrix" else ())
-    build, x0 = changed(base.with_forces(*forces(elements(base, 2)))), draw(np.random.default_rng(3))
-    # Functions of states that turn many times are strongly curved.
-    error = 2.0**-20 if acting == "by many turns" else DIFFERENCE_ERROR
-    gradient = assert_derivatives(build, method, x0, (0.5, 0.5 + 6 * H), H, draw=draw, error=error)
-    assert np.all(np.abs(gradient["HamiltonianNoise.strength"]) > 1e-5)
-
-
-def test_noise_on_matrices_has_the_same_derivatives_on_each_number_of_threads():
-    base, rng = co.systems.reduced_mhd(N=8), np.random.default_rng(5)
-    noises = (
-        F.HamiltonianNoise(elements(base, 2), (0.3, 0.2), seed=4),
-        F.TransportNoise(**F.TransportNoise.example),
-    )
-    x0, found = drawn(base, rng, (5,)), list[dict[str, object]]()
     for threads in (1, 2):
-        ready = co.prepare(base.with_forces(*noises), co.IsospectralGauss(), H, threads=threads)
-        sol, pullback = ready.vjp(x0, (0.5, 1.0))
-        found.append(pullback(np.ones(sol.x.shape)))
-    names = "x0", "HamiltonianNoise.strength", "TransportNoise.strength"
-    assert all(np.array_equal(found[0][name], found[1][name]) for name in names)
+        ready = co.prepare(along_orbits(base, force), co.IsospectralGauss(), H, threads=threads)
+        pullback = ready.vjp(x0, (0.0, H))[1]
+        found += [pullback(one) for one in (other, base.algebra.projected(other))]
+    np.testing.assert_allclose(found[0]["x0"], found[1]["x0"], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(base.algebra.projected(found[0]["x0"]), found[0]["x0"], rtol=0, atol=1e-13)
+    assert all(np.array_equal(value, found[2][name]) for name, value in found[0].items())
 
 
-TRANSPORTED = F.TransportNoise(**F.TransportNoise.example)
-
-
-@pytest.mark.parametrize("forces", [(DAMPED, HEATED), (TRANSPORTED,)], ids=["dampings", "noise"])
+@pytest.mark.parametrize("forces", [(DAMPED, HEATED), (stirred(0.3),)], ids=["dampings", "noise"])
 def test_forces_along_orbits_of_matrices_take_bounded_work(forces):
     """They are differentiated by the kernels: in Python a flow took milliseconds."""
     base = co.systems.sphere_euler(N=8)
-    ready = co.prepare(base.with_forces(*forces), co.IsospectralGauss(), H)
+    ready = co.prepare(along_orbits(base, *forces), co.IsospectralGauss(), H)
     x0 = drawn(base, np.random.default_rng(3))
     ready.vjp(x0, (0.0, 1.0))
     with bounded_work(8.0):
