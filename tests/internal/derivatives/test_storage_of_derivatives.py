@@ -102,9 +102,11 @@ def test_transformations_of_jax_run_once(jax, monkeypatch):
     made.clear()
     jax.vmap(lambda x: jax.jvp(lambda i: f(x, inertia=i), (inertia,), (x0,))[1])(several)
     assert [one for one in made if one[0] == "tangents"] == [("tangents", (8, 3))]
-    prepared, real = [], parametrized_run.with_parameters
+    prepared, real = [], parametrized_run.with_parameters_of_members
     monkeypatch.setattr(
-        parametrized_run, "with_parameters", lambda system, values: prepared.append(values) or real(system, values)
+        parametrized_run,
+        "with_parameters_of_members",
+        lambda system, values: prepared.append(values) or real(system, values),
     )
     jax.jit(jax.value_and_grad(number, (0, 1)))(x0, inertia * 1.01)
     assert len(prepared) == 1
