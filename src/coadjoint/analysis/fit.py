@@ -26,10 +26,20 @@ from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at,
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
-INVERSES = (
-    'the measured "attitude" are fitted much better by their inverses: they are rotations from space to the body; give '
-    'their inverses, or read the log with direction="space to body"'
+MUCH_BETTER, W_FIRST = (
+    'the measured "attitude" are fitted much better ',
+    "as quaternions w x y z, which were read as x y z w",
 )
+# What measured rotations may be instead, with the mend: whether their quaternions have w first, and their inverses.
+READINGS = {
+    (False, True): f"{MUCH_BETTER}by their inverses: they are rotations from space to the body; give their inverses, "
+    'or read the log with direction="space to body"',
+    (True, False): f"{MUCH_BETTER}{W_FIRST}; give Rotation.from_quat(q[:, [1, 2, 3, 0]])",
+    (True, True): f"{MUCH_BETTER}{W_FIRST}, of rotations from space to the body; give "
+    "Rotation.from_quat(q[:, [1, 2, 3, 0]]).inv()",
+}
+EARLY = 20  # evaluations after which large residuals have other readings tried, and of each; others take about ten
+UNEXPLAINED = 0.01  # of the squares about the mean, and of those of the given reading, if sigma is wrong
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
 SMALL_STEP = 1e-3  # of the one that leads to the minimum of a linear problem
 MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
@@ -226,14 +236,15 @@ def fit(
     count = len(problem.unknowns)
     first = problem.jacobian(np.zeros(count))
     _check_determined(first, problem, "at the guess")
-    problem, end = _minimum(problem, first)
+    readings = _Readings(ready, x0, unknown, problem, observe)
+    problem, end = _minimum(problem, first, watch=readings.watch)
     guess = problem
     with without_warnings():  # of values that may not be those returned
         # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
         moved = problem.moved(end.x)
         problem = problem._replace(values=moved)
         if end.status <= 0:
-            advice = INVERSES if _are_inverse(ready, x0, unknown, problem, observe) else "give closer guesses"
+            advice = readings.found(2.0 * float(end.cost)) or "give closer guesses"
             raise ValueError(f"the minimum was not found in {end.nfev} evaluations; {advice}")
         final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
         squares = float(final @ final)
@@ -245,10 +256,27 @@ def fit(
             f"at the point reached, where the sum of squares of the residuals is {squares:.4g} for {freedom} degrees "
             "of freedom, and which may be far from the minimum,"
         )
-        inverse = contradicts and _are_inverse(ready, x0, unknown, problem, observe)
-        advice = INVERSES if inverse else "give a better guess, or omit" if contradicts else "omit"
+        reading = readings.found(squares) if contradicts else ""
+        advice = reading or ("give a better guess, or omit" if contradicts else "omit")
         _check_determined(J, problem, place if contradicts else "at the minimum", advice)
         rates = _are_rates(ready, attitude, unknown, problem, observe)
+    if rates:
+        warn_caller(
+            'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
+            'them "angular_velocity"',
+            UserWarning,
+        )
+    elif contradicts:
+        warn_caller(
+            reading
+            or (
+                f"the residuals contradict sigma: the sum of their squares is {squares:.4g} for {freedom} degrees "
+                "of freedom, where as many are expected; the errors are larger than sigma, the measured values are not "
+                "those that they are named for, the model is wrong, or the guess is too far from the minimum, and the "
+                "covariance holds for none of these"
+            ),
+            UserWarning,
+        )
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
@@ -257,23 +285,6 @@ def fit(
         with_parameters(ready.system, changed)  # with its warnings, such as of moments that no body has
     fitted = problem.run.prepared_at(parameters)
     solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    if rates:
-        warn_caller(
-            'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
-            'them "angular_velocity"',
-            UserWarning,
-        )
-    elif contradicts:
-        if inverse:
-            warn_caller(INVERSES, UserWarning)
-        else:
-            warn_caller(
-                f"the residuals contradict sigma: the sum of their squares is {squares:.4g} for {freedom} degrees "
-                "of freedom, where as many are expected; the errors are larger than sigma, the measured values are not "
-                "those that they are named for, the model is wrong, or the guess is too far from the minimum, and the "
-                "covariance holds for none of these",
-                UserWarning,
-            )
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
 
 
@@ -313,12 +324,12 @@ def _are_rates(
     return variance("x", x0) > enough
 
 
-def _minimum(problem: FitProblem, first: Floats | None = None, **limits: Any) -> tuple[FitProblem, Any]:
+def _minimum(problem: FitProblem, first: Floats | None = None, **options: Any) -> tuple[FitProblem, Any]:
     """Minimize from the guess, with the Jacobian `first`, without warnings of trial points."""
     with without_warnings(), np.errstate(all="ignore"):
         first = problem.jacobian(np.zeros(len(problem.unknowns))) if first is None else first
-        near, first = problem.near_attitudes(first)
-        return near, near.minimum(first, **limits)
+        near, first = problem.near_attitudes(first, **options)
+        return near, near.minimum(first, **options)
 
 
 def _check_permitted(problem: FitProblem, first: Floats, moved: Floats) -> None:
@@ -333,37 +344,89 @@ def _check_permitted(problem: FitProblem, first: Floats, moved: Floats) -> None:
         raise ValueError(f"the unknowns cannot move from the guess: {error}") from None
 
 
-def _variance(tried: FitProblem) -> float:
+def _variance(tried: FitProblem, evaluations: int = MOST_EVALUATIONS) -> float:
     """Return the mean square of the residuals at the minimum; NaN without a fit."""
     try:
-        _, end = _minimum(tried, max_nfev=MOST_EVALUATIONS)
+        _, end = _minimum(tried, max_nfev=evaluations)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return math.nan
     return 2.0 * float(end.cost) / tried.degrees_of_freedom if tried.degrees_of_freedom > 0 else math.nan
 
 
-def _are_inverse(
-    ready: PreparedRun, x0: Any, unknown: Mapping[str, Any], fitted: FitProblem, observe: Mapping[str, Any]
-) -> bool:
-    """Test whether the inverses of the measured rotations are fitted much better, whatever sigma is."""
-    targets, weights = fitted.targets, fitted.weights
-    if "attitude" not in targets or targets["attitude"].shape[-1] != 3:
-        return False
+class _Readings:
+    """Other readings of measured rotations, which are tried once: early in a fit that goes wrong, or at its end."""
 
-    def variance(attitudes: Floats) -> float:
-        """Return the mean square of the residuals for attitudes, with the start of which the fit begins."""
+    def __init__(
+        self, ready: PreparedRun, x0: Any, unknown: Mapping[str, Any], problem: FitProblem, observe: Mapping[str, Any]
+    ) -> None:
+        self._arguments, self._problem, self._observe = (ready, x0, {**unknown, "attitude0": True}), problem, observe
+        self._evaluations, self._least, self._found = 0, math.inf, None if self._are_rotations() else ""
+        means = {name: target.mean(axis=0) for name, target in problem.targets.items()}
+        spread = problem.residuals_of(
+            {name: np.broadcast_to(means[name], problem.targets[name].shape) for name in means}
+        )
+        self._spread = float(spread @ spread)
+
+    def _are_rotations(self) -> bool:
+        return "attitude" in self._problem.targets and self._problem.targets["attitude"].shape[-1] == 3
+
+    def watch(self, squares: float) -> None:
+        """Raise ValueError if a fit has found nothing after some evaluations, and another reading fits."""
+        self._evaluations, self._least = self._evaluations + 1, min(squares, self._least)
+        if self._evaluations != EARLY or self._least <= UNEXPLAINED * self._spread:
+            return
+        if _contradicts(self._least, self._problem.degrees_of_freedom) and (reading := self.found(self._least)):
+            raise ValueError(f"the minimum was not found in {EARLY} evaluations; {reading}")
+
+    def found(self, squares: float) -> str:
+        """Return the reading that fits where that given, with this sum of squares, does not; empty if there is none."""
+        freedom = self._problem.degrees_of_freedom
+        if self._found is None and freedom > 0:
+            given = squares / freedom
+            fitting = (text for key, text in READINGS.items() if self._fits(self._as_read(*key), given))
+            self._found = next(fitting, "")
+        return self._found or ""
+
+    def _as_read(self, w_first: bool, inverse: bool) -> Floats | None:
+        """Return the rotations in another reading; None if they are no rotations."""
+        from scipy.spatial.transform import Rotation
+
+        rotations = self._problem.targets["attitude"]
+        if w_first:
+            try:
+                quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+            except ValueError:
+                return None
+            rotations = Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix().reshape(rotations.shape)
+        return np.ascontiguousarray(np.swapaxes(rotations, -1, -2)) if inverse else rotations
+
+    def _fits(self, rotations: Floats | None, given: float) -> bool:
+        """Test whether rotations are fitted as sigma or their scatter permits, and much better than those given."""
+        if rotations is None:
+            return False
+        variance, freedom = self._variance(rotations)
+        # For normal errors of any size, a ratio of likelihoods in favour of the wrong reading exceeds 1 / p with a
+        # probability of at most p, if one of both is right: so one of them must fit.
+        enough = variance * math.exp(-2.0 * math.log(CONTRADICTION) / rotations.size)
+        if math.isnan(variance) or _contradicts(variance * freedom, freedom):
+            enough = max(enough, variance / UNEXPLAINED)
+            if not variance * freedom <= UNEXPLAINED * self._spread:
+                return False
+        return given > enough and not self._variance(self._problem.targets["attitude"])[0] <= enough
+
+    def _variance(self, rotations: Floats) -> tuple[float, int]:
+        """Return the mean square of the residuals of a fit that begins at the first rotation, and its freedom."""
+        ready, x0, unknown = self._arguments
+        targets, weights = {**self._problem.targets, "attitude": rotations}, dict(self._problem.weights)
+        if weights["attitude"].ndim > rotations.ndim:  # maps of errors of the given rotations: entries count alike
+            alike = np.sqrt(np.sum(weights["attitude"] ** 2, axis=(-3, -2, -1)) / 3.0)
+            weights["attitude"] = np.broadcast_to(alike[..., None, None], rotations.shape)
         try:
-            problem = FitProblem.of(ready, x0, attitudes[0], fitted.run, {**unknown, "attitude0": True})
-        except ValueError:
-            return math.nan
-        turned = {**targets, "attitude": attitudes}
-        return _variance(problem.measuring(ready, turned, observe)._replace(weights=weights, targets=turned))
-
-    rotations = targets["attitude"]
-    inverses = np.ascontiguousarray(np.swapaxes(rotations, -1, -2))
-    enough = variance(inverses) * math.exp(-2.0 * math.log(CONTRADICTION) / rotations.size)
-    residuals, freedom = fitted.residuals_of(fitted.outputs()), fitted.degrees_of_freedom
-    return float(residuals @ residuals) / freedom > enough and not variance(rotations) <= enough
+            problem = FitProblem.of(ready, x0, rotations[0], self._problem.run, unknown)
+        except (TypeError, ValueError):  # of attitudes that are part of the states
+            return math.nan, 0
+        tried = problem.measuring(ready, targets, self._observe)._replace(weights=weights, targets=targets)
+        return _variance(tried, EARLY), tried.degrees_of_freedom
 
 
 def _as_saved(name: str, value: Any, ready: PreparedRun, times: Floats) -> Any:
@@ -453,7 +516,7 @@ def _check_determined(J: Floats, problem: FitProblem, place: str, advice: str = 
         reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
         raise ValueError(
             f"{place} the measurements do not determine all unknown entries of {names}{reason}; {advice}"
-            + f", for instance, {omitted}" * (advice != INVERSES)
+            + f", for instance, {omitted}" * advice.endswith("omit")
         )
 
 

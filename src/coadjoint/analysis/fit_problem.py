@@ -319,7 +319,7 @@ class FitProblem(NamedTuple):
         parts = [self._weighted(name, outputs[name] - target).ravel() for name, target in self.targets.items()]
         return np.concatenate(parts)
 
-    def near_attitudes(self, first: Floats) -> tuple[FitProblem, Floats]:
+    def near_attitudes(self, first: Floats, **options: Any) -> tuple[FitProblem, Floats]:
         """Return the problem and its Jacobian, near the minimum if coordinates of errors of attitudes are compared."""
         # They are linear for small errors only; entries of attitudes are comparable for all.
         linear = [name for name, one in self.weights.items() if one.ndim > self.targets[name].ndim]
@@ -328,7 +328,7 @@ class FitProblem(NamedTuple):
         alike = {name: np.full(self.targets[name].shape, np.sqrt(np.mean(self.weights[name] ** 2))) for name in linear}
         rough = self._replace(weights={**self.weights, **alike})
         zero = np.zeros(len(self.unknowns))
-        near = self._replace(values=self.moved(rough.minimum(rough.jacobian(zero)).x))
+        near = self._replace(values=self.moved(rough.minimum(rough.jacobian(zero), **options).x))
         return near, near.jacobian(zero)
 
     def residuals(self, z: Floats) -> Floats:
@@ -344,16 +344,25 @@ class FitProblem(NamedTuple):
         columns = [self._weighted(name, tangents[name]).reshape(len(z), -1) for name in self.targets]
         return np.concatenate(columns, axis=1).T
 
-    def minimum(self, first: Floats, **limits: Any) -> Any:
-        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`."""
+    def minimum(self, first: Floats, watch: Callable[[float], None] = lambda squares: None, **limits: Any) -> Any:
+        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`.
+
+        `watch` is called with the sum of squares of each evaluation.
+        """
         from scipy.optimize import least_squares
 
         # The first step may change each unknown by this many standard deviations.
         lengths = np.linalg.norm(first, axis=0)
         scale = FIRST_STEP / np.where(lengths > 0.0, lengths, 1.0)
         start = np.zeros(len(self.unknowns))
+
+        def residuals(z: Floats) -> Floats:
+            found = self.residuals(z)
+            watch(float(found @ found))
+            return found
+
         return least_squares(
-            self.residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
+            residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
         )
 
 

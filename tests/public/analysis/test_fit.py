@@ -460,21 +460,64 @@ def test_degrees_of_freedom_of_measured_attitudes():
         assert found.degrees_of_freedom == size * len(exact.t) - 1
 
 
-@pytest.mark.filterwarnings("ignore:inertia:UserWarning")
+def w_first(rotations):
+    """Quaternions w x y z, read as x y z w."""
+    return Rotation.from_quat(rotations.as_quat()[:, [3, 0, 1, 2]])
+
+
+# What is measured instead of the attitudes, and what is said.
+MISREAD = {
+    "none": (lambda log: log, "contradict sigma"),
+    "inverse": (lambda log: log.inv(), "by their inverses.*space to body"),
+    "w first": (w_first, r"as quaternions w x y z.*3, 0\]\]\)$"),
+    "w first, inverse": (lambda log: w_first(log.inv()), r"as quaternions w x y z.*space.*inv\(\)$"),
+    "degrees": (lambda log: Rotation.from_euler("xyz", log.as_euler("xyz", degrees=True)), "contradict sigma"),
+}
+
+
+def damped(inertia, rate):
+    system = co.systems.rigid_body(inertia)
+    system = system.with_forces(co.forces.LinearDamping(rate)) if rate else system
+    return co.prepare(system, SCHEME, 0.05, attitude=True)
+
+
 @pytest.mark.parametrize("start", ["of the log", pytest.param("of the body", marks=pytest.mark.long)])
-@pytest.mark.parametrize("is_inverse", [False, True], ids=["body to space", "space to body"])
-def test_attitudes_of_the_other_direction_are_named(start, is_inverse):
-    """Residuals that contradict sigma are warned of either way, and the direction if it is the cause."""
+@pytest.mark.parametrize("damping", [0.0, 0.04])
+@pytest.mark.parametrize("mistake", MISREAD)
+def test_rotations_that_were_read_wrongly_are_named(start, mistake, damping):
+    """Residuals that contradict sigma are warned of either way, and the reading if it is the cause."""
+    misread, words = MISREAD[mistake]
     rng, sigma = np.random.default_rng(3), 0.01
     turned = Rotation.from_rotvec([0.3, -0.2, 0.5])
-    body = lambda inertia: co.prepare(co.systems.rigid_body(inertia), SCHEME, 0.05, attitude=True)  # noqa: E731
-    exact = body((1.0, 2.0, 2.5)).run((1.0, 0.2, 0.5), (0, 10), 10, attitude=turned.as_matrix()).rotation
-    log = exact * Rotation.from_rotvec(3.0 * sigma * rng.standard_normal((len(exact), 3)))  # larger than sigma
-    log = log.inv() if is_inverse else log
+    exact = damped((1.0, 2.0, 2.5), damping).run((1.0, 0.2, 0.5), (0, 10), 10, attitude=turned.as_matrix()).rotation
+    log = misread(exact * Rotation.from_rotvec(3.0 * sigma * rng.standard_normal((len(exact), 3))))  # above sigma
     first = log[0] if start == "of the log" else turned
     options = {"sigma": {"attitude": sigma}, "attitude": first.as_matrix()}
-    with pytest.warns(UserWarning, match="inverses.*space to body" if is_inverse else "contradict sigma"):
-        co.fit(body((1.0, 2.0, 2.4)), (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, {"inertia": (2,)}, 10, **options)
+    ready, unknown = damped((1.0, 2.0, 2.4), damping), {"inertia": (2,)}
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        try:
+            co.fit(ready, (1.0, 0.2, 0.5), (0, 10), {"attitude": log}, unknown, 10, **options)
+            said = [str(one.message) for one in noticed]
+        except ValueError as error:  # of fits that were ended early
+            assert mistake not in ("none", "degrees")
+            said = [str(error)]
+    assert re.search(words, said[0])  # before those of bodies that do not exist
+    assert sum('"attitude"' in one for one in said) == (mistake not in ("none", "degrees"))
+
+
+@pytest.mark.parametrize("mistake", ["inverse", pytest.param("w first", marks=pytest.mark.long)])
+@pytest.mark.parametrize("sigma", [0.01, (0.01, 0.01, 0.02)], ids=["one sigma", "by axis"])
+def test_fits_of_rotations_that_were_read_wrongly_end_early(mistake, sigma):
+    """To the minimum they would take hundreds of evaluations, and a minute."""
+    misread, words = MISREAD[mistake]
+    rng = np.random.default_rng(7)
+    exact = damped((1.0, 2.0, 2.5), 0.04).run((1.0, 0.2, 0.5), (0, 20), 20, attitude=A0).rotation
+    log = misread(exact * Rotation.from_rotvec(0.01 * rng.standard_normal((len(exact), 3))))
+    ready, measured = damped((1.1, 2.0, 2.4), 0.02), {"attitude": log}
+    unknown = {"inertia": (0, 2), "LinearDamping.rate": True, "x0": True, "attitude0": True}
+    with pytest.raises(ValueError, match="not found in 20 evaluations.*" + words):
+        co.fit(ready, (1.05, 0.2, 0.55), (0, 20), measured, unknown, 20, sigma={"attitude": sigma}, attitude=A0)
 
 
 def test_attitudes_of_the_other_direction_are_named_where_they_leave_unknowns_undetermined():
