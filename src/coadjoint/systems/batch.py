@@ -151,8 +151,9 @@ def _difference(first: Any, other: Any) -> str:
         for label, force, one in zip(first.labels, first.forces, other.forces, strict=True):
             if force.random != one.random:
                 own, others = ("has no noise", "has noise") if force.random else ("has noise", "has no noise")
-                rule = " (its temperature is 0; give a tiny one, such as 1e-30)" if hasattr(one, "temperature") else ""
-                return f"{own} by {label}, and member 0 {others}{rule}"
+                quiet = "member 0" if one.random else "this member"
+                rule = f" (in {quiet} its temperature is 0; give a tiny one, such as 1e-30)"
+                return f"{own} by {label}, and member 0 {others}{rule if hasattr(one, 'temperature') else ''}"
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:

@@ -566,3 +566,27 @@ def test_memory_of_bonds_of_two_lengths():
     assert (peak - before) / count < 500 and (now - before) / count < 200
     up = np.tile([0.0, 0.0, 1.0], count)
     assert abs(finished.energy(up) / count - (4 * 1.0 + 3 * 0.5)) < 1e-12
+
+
+def test_baths_in_kelvin_are_described_again():
+    """A bath in kelvin, made again from its parameters, runs with the same bits, also on the model in energies."""
+    model = co.systems.spins(CUBE, (2, 1, 1), spin=1, periodic=False, units="meV").field((0, 0, 2.0))
+    plain, x = co.systems.get(model.name, **model.parameters), np.tile([0.0, 0.6, 0.8], 2)
+    for bath in (co.forces.HeatBath, co.forces.Gilbert):
+        one = model.with_forces(bath(0.1, temperature=10.0, seed=5))
+        again = co.forces.get(bath.__name__, **one.forces[0].parameters())
+        runs = [co.integrate(s, x, (0, 0.5), 0.1).x for s in (one, plain.with_forces(again))]
+        np.testing.assert_array_equal(*runs)
+
+
+def test_missing_parameters_of_batches_say_why():
+    """A batch names the member whose noise vanishes, or whose value has no derivative."""
+    model, Gilbert = co.systems.spin_lattice("ring", 4, field=(0, 0.1, 0.4)), co.forces.Gilbert
+    with refused(ValueError, "member 1", "Gilbert", "no noise", "temperature is 0"):
+        co.batch([model.with_forces(Gilbert(0.1, temperature=T, seed=1)) for T in (0.1, 0.0)])
+    x = np.tile([0.0, 0.6, 0.8], 4)
+    for alpha, told in ((0.0, "limit"), ([0.1] * 4, "shape")):
+        batch = co.batch([model.with_forces(Gilbert(a)) for a in (0.1, alpha)])
+        ready = co.prepare(batch, co.Splitting(), step=0.05)
+        with refused(ValueError, "Gilbert.alpha of member 1", told):
+            ready.jvp([x, x], (0, 1), {"Gilbert.alpha": [1.0, 1.0]})
