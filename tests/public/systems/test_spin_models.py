@@ -568,8 +568,8 @@ def test_memory_of_bonds_of_two_lengths():
     assert abs(finished.energy(up) / count - (4 * 1.0 + 3 * 0.5)) < 1e-12
 
 
-def test_baths_in_kelvin_are_described_again():
-    """A bath in kelvin, made again from its parameters, runs with the same bits, also on the model in energies."""
+def test_baths_in_kelvin_are_described_again(tmp_path):
+    """A bath in kelvin, made from its parameters or read from an archive, runs with the same bits."""
     model = co.systems.spins(CUBE, (2, 1, 1), spin=1, periodic=False, units="meV").field((0, 0, 2.0))
     plain, x = co.systems.get(model.name, **model.parameters), np.tile([0.0, 0.6, 0.8], 2)
     for bath in (co.forces.HeatBath, co.forces.Gilbert):
@@ -577,6 +577,10 @@ def test_baths_in_kelvin_are_described_again():
         again = co.forces.get(bath.__name__, **one.forces[0].parameters())
         runs = [co.integrate(s, x, (0, 0.5), 0.1).x for s in (one, plain.with_forces(again))]
         np.testing.assert_array_equal(*runs)
+        co.integrate(one, x, (0, 0.5), 0.1, archive=tmp_path / bath.__name__)
+        stored = co.open_archive(tmp_path / bath.__name__).system
+        assert stored.forces == one.forces
+        np.testing.assert_array_equal(co.integrate(stored, x, (0, 0.5), 0.1).x, runs[0])
 
 
 def test_missing_parameters_of_batches_say_why():
