@@ -148,8 +148,12 @@ def _difference(first: Any, other: Any) -> str:
             return f"has {own}, and member 0 has {others}"
         if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
             return "has forces that keep other Casimirs than those of member 0"
-        if [force.random for force in first.forces] != [force.random for force in other.forces]:
-            return "has forces with noise where member 0 has none, or none where it has; give noise of size 0"
+        for label, force, one in zip(first.labels, first.forces, other.forces, strict=True):
+            if force.random != one.random:
+                own, others = ("has no noise", "has noise") if force.random else ("has noise", "has no noise")
+                quiet = "member 0" if one.random else "this member"
+                rule = f" (in {quiet} its temperature is 0; give a tiny one, such as 1e-30)"
+                return f"{own} by {label}, and member 0 {others}{rule if hasattr(one, 'temperature') else ''}"
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:

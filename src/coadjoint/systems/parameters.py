@@ -502,3 +502,22 @@ def parameters_of_members(system: Any, values: Mapping[str, Floats] | None = Non
         if all(name in one and one[name].value.shape == first.value.shape for one in members):
             found[name] = first._replace(value=np.stack([one[name].value for one in members]))
     return found
+
+
+def unknown_parameter(system: Any, kind: str, name: Any, known: Iterable[str]) -> ValueError:
+    """Return the ValueError for an unknown parameter, with the reason if it is one of some members only."""
+    for m, one in enumerate(system) if system.is_batch else [(None, system)]:
+        numbers = force_numbers(one)
+        if name not in numbers:
+            continue
+        where, value = "" if m is None else f" of member {m}", short(numbers[name].value.tolist())
+        if not _may_change(numbers[name], one):
+            return ValueError(
+                f"{name}{where} is {value}, at the limit of its domain: no run can be differentiated by it"
+            )
+        first = force_numbers(system[0]).get(name) if system.is_batch else None
+        if m and (first is None or first.value.shape != numbers[name].value.shape):
+            return ValueError(
+                f"{name}{where} has another shape than that of member 0, and is no parameter; give equal shapes"
+            )
+    return unknown_name(kind, name, known)

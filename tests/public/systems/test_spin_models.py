@@ -263,9 +263,35 @@ def test_temperatures_in_kelvin():
         warmer = in_kelvin.field((0, 0, 2.0))
         assert warmer.forces == in_kelvin.forces and warmer.energy(cold.x[0]) != model.energy(cold.x[0])
     each = model.with_forces(co.forces.Gilbert(0.2, temperature=np.linspace(1, 9, 9), seed=5))
-    np.testing.assert_allclose(each.forces[0].temperature, model.boltzmann * np.linspace(1, 9, 9), rtol=1e-15)
+    np.testing.assert_array_equal(each.forces[0].temperature, np.linspace(1, 9, 9))
+    assert each.forces[0].boltzmann == model.boltzmann
     with refused(ValueError, "temperature", "-1"):
         co.thermal_states(model, -1.0, seed=1)
+
+
+@pytest.mark.parametrize(("bath", "mode"), [("HeatBath", "vectors"), ("Gilbert", "vectors"), ("HeatBath", "SU(N)")])
+def test_temperature_is_a_parameter_in_kelvin(bath, mode):
+    """Derivatives by the temperature are those by the kelvin that were given, of single runs and of batches."""
+    kwargs = {} if mode == "vectors" else {"mode": mode}
+    plain = co.systems.spins(CUBE, (2, 1, 1), spin=1, periodic=False, units="meV", **kwargs).field((0.5, 0, 2.0))
+
+    def forced(T):
+        return plain.with_forces(getattr(co.forces, bath)(0.1, temperature=T, seed=5))
+
+    def ready(*kelvin):
+        systems = [forced(T) for T in kelvin]
+        return co.prepare(co.batch(systems) if len(systems) > 1 else systems[0], co.Splitting(), step=0.05)
+
+    x = co.thermal_states(plain, 5.0, sweeps=2, seed=1).x[0]
+    name, e = f"{bath}.temperature", 1e-3
+    assert ready(10.0).parameters[name] == 10.0
+    assert ready(10.0, 20.0).parameters[name].tolist() == [10.0, 20.0]
+    _, tangents = ready(10.0).jvp(x, (0, 0.5), {name: 1.0})
+    ends = [ready(10.0 + by).run(x, (0, 0.5)).x[-1] for by in (e, -e)]
+    slope = (ends[0] - ends[1]) / (2 * e)
+    np.testing.assert_allclose(tangents.x[-1], slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    both = ready(10.0, 20.0).run([x, x], (0, 0.5)).x[-1]
+    np.testing.assert_array_equal(both[0], ready(10.0).run(x, (0, 0.5)).x[-1])
 
 
 def test_sublattices_of_different_moments_equilibrate():
@@ -540,3 +566,31 @@ def test_memory_of_bonds_of_two_lengths():
     assert (peak - before) / count < 500 and (now - before) / count < 200
     up = np.tile([0.0, 0.0, 1.0], count)
     assert abs(finished.energy(up) / count - (4 * 1.0 + 3 * 0.5)) < 1e-12
+
+
+def test_baths_in_kelvin_are_described_again(tmp_path):
+    """A bath in kelvin, made from its parameters or read from an archive, runs with the same bits."""
+    model = co.systems.spins(CUBE, (2, 1, 1), spin=1, periodic=False, units="meV").field((0, 0, 2.0))
+    plain, x = co.systems.get(model.name, **model.parameters), np.tile([0.0, 0.6, 0.8], 2)
+    for bath in (co.forces.HeatBath, co.forces.Gilbert):
+        one = model.with_forces(bath(0.1, temperature=10.0, seed=5))
+        again = co.forces.get(bath.__name__, **one.forces[0].parameters())
+        runs = [co.integrate(s, x, (0, 0.5), 0.1).x for s in (one, plain.with_forces(again))]
+        np.testing.assert_array_equal(*runs)
+        co.integrate(one, x, (0, 0.5), 0.1, archive=tmp_path / bath.__name__)
+        stored = co.open_archive(tmp_path / bath.__name__).system
+        assert stored.forces == one.forces
+        np.testing.assert_array_equal(co.integrate(stored, x, (0, 0.5), 0.1).x, runs[0])
+
+
+def test_missing_parameters_of_batches_say_why():
+    """A batch names the member whose noise vanishes, or whose value has no derivative."""
+    model, Gilbert = co.systems.spin_lattice("ring", 4, field=(0, 0.1, 0.4)), co.forces.Gilbert
+    with refused(ValueError, "member 1", "Gilbert", "no noise", "temperature is 0"):
+        co.batch([model.with_forces(Gilbert(0.1, temperature=T, seed=1)) for T in (0.1, 0.0)])
+    x = np.tile([0.0, 0.6, 0.8], 4)
+    for alpha, told in ((0.0, "limit"), ([0.1] * 4, "shape")):
+        batch = co.batch([model.with_forces(Gilbert(a)) for a in (0.1, alpha)])
+        ready = co.prepare(batch, co.Splitting(), step=0.05)
+        with refused(ValueError, "Gilbert.alpha of member 1", told):
+            ready.jvp([x, x], (0, 1), {"Gilbert.alpha": [1.0, 1.0]})

@@ -18,6 +18,7 @@ from coadjoint.runs.derivatives.run_tables import INPUTS
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.energy_derivatives import gradients_at
+from coadjoint.systems.parameters import unknown_parameter
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Directions:
         arrays = {}
         for name, value in given.items():
             if name not in shapes:
-                raise unknown_name("direction of this run", name, shapes)
+                raise unknown_parameter(run.system, "direction of this run", name, shapes)
             what, shape = f"the direction {name}", shapes[name]
             array = read_like(trajectory.solution.x if name == "x0" else None, value, what)
             check_shape(name, array, shape)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError, LargeStepWarning, unknown_name
+from coadjoint.errors import IntegrationError, LargeStepWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.program.generators import group_side
 from coadjoint.runs.derivatives.backward import gradient_of, read_cotangents
@@ -19,7 +19,7 @@ from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.parameters import with_parameters_of_members
+from coadjoint.systems.parameters import unknown_parameter, with_parameters_of_members
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import is_called_in_python
 
@@ -116,7 +116,8 @@ class ParametrizedRun:
         known |= {name: (expected,) for name, expected in self._shapes.items()}
         for name, given in shapes.items():
             if name not in known:
-                raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
+                system = self._prepared.system
+                raise unknown_parameter(system, f"parameter of {system.name}", name, known)
             if given not in known[name] or 0 in given:
                 if name == "x0" and system.is_batch and given == shape:
                     raise ValueError(

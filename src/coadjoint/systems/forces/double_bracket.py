@@ -43,7 +43,7 @@ from coadjoint.systems.matrices.conjugation import (
     with_layers,
 )
 from coadjoint.systems.matrices.conjugation import exponential as unitary
-from coadjoint.validation import read_nonnegative
+from coadjoint.validation import read_nonnegative, read_positive
 
 
 @suggest_keywords
@@ -258,6 +258,8 @@ class HeatBath(DoubleBracketDamping):
     stream : int
         Member m of a run has the noise number ``stream + m`` of the seed. With stream=m a single run is bit-identical
         to member m of an ensemble.
+    boltzmann : float, optional
+        Energy of a unit of `temperature`, positive; that of the system if omitted, 1 but for models in kelvin.
 
     Raises
     ------
@@ -285,7 +287,9 @@ class HeatBath(DoubleBracketDamping):
     temperature: Any = 0.0
     seed: Any = None
     stream: int = 0
+    boltzmann: float | None = None
 
+    selectors: ClassVar[tuple[str, ...]] = ("boltzmann",)
     example: ClassVar = {"alpha": 0.05, "temperature": 0.1, "seed": 3}
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
@@ -293,7 +297,7 @@ class HeatBath(DoubleBracketDamping):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._require_seed()
-        self._read(temperature=read_nonnegatives, seed=read_seed, stream=read_seed)
+        self._read(temperature=read_nonnegatives, seed=read_seed, stream=read_seed, boltzmann=read_boltzmann)
 
     def check(self, system: Any) -> None:
         super().check(system)
@@ -336,7 +340,12 @@ class HeatBath(DoubleBracketDamping):
     @property
     def amplitude(self) -> float:
         """Factor of the Wiener processes, sqrt(2 alpha kT), at the highest temperature."""
-        return float(np.sqrt(2.0 * self.alpha * np.max(self.temperature)))
+        return float(np.sqrt(2.0 * self.alpha * self._highest_energy))
+
+    @property
+    def _highest_energy(self) -> float:
+        """Boltzmann's constant times the highest temperature."""
+        return float((1.0 if self.boltzmann is None else self.boltzmann) * np.max(self.temperature))
 
     def _root(self, system: Any) -> NDArray[np.float64]:
         """Return L with L L^T = P, where temperatures differ times their square roots relative to the highest."""
@@ -445,6 +454,11 @@ class HeatBath(DoubleBracketDamping):
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]
             yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
+
+
+def read_boltzmann(value: Any, what: str) -> float | None:
+    """Validate the energy of a unit of temperature; None stays."""
+    return None if value is None else read_positive(value, what)
 
 
 def _units(system: Any) -> NDArray[Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import Spins, spins_in
 from coadjoint.systems.forces.base import ForceReader, SpinTerms, read_nonnegatives, read_seed
-from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, HeatBath
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, HeatBath, read_boltzmann
 from coadjoint.systems.forces.orbit_flow import exponential_with_tangent
 from coadjoint.validation import set_fields
 
@@ -49,6 +49,8 @@ class Gilbert(HeatBath):
         Seed of the noise, from 0 to 2^62; required at a temperature above zero.
     stream : int
         Member m of a run has the noise number ``stream + m`` of the seed.
+    boltzmann : float, optional
+        Energy of a unit of `temperature`, positive; that of the system if omitted, 1 but for models in kelvin.
 
     Raises
     ------
@@ -83,11 +85,12 @@ class Gilbert(HeatBath):
     temperature: Any = 0.0
     seed: Any = None
     stream: int = 0
+    boltzmann: float | None = None
 
     example: ClassVar = {"alpha": 0.25, "temperature": 0.1, "seed": 23}
 
     def __post_init__(self) -> None:
-        self._read(alpha=read_nonnegatives, temperature=read_nonnegatives, stream=read_seed)
+        self._read(alpha=read_nonnegatives, temperature=read_nonnegatives, stream=read_seed, boltzmann=read_boltzmann)
         is_random = bool(np.any(self.temperature))
         set_fields(self, random=is_random, reversible=not is_random)
         if is_random:
@@ -146,7 +149,7 @@ class Gilbert(HeatBath):
     @property
     def amplitude(self) -> float:
         """Factor of the Wiener processes of a unit metric, at the highest temperature."""
-        return float(np.sqrt(2.0 * np.max(self.temperature)))
+        return float(np.sqrt(2.0 * self._highest_energy))
 
     def _at(self, system: Any, v: NDArray[np.float64], x: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(v / np.sqrt(self._factors(system)[1].lengths(x)))

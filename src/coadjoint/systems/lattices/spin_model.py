@@ -29,7 +29,7 @@ from coadjoint.systems.lattices.spin_constants import constants_of, read_name, w
 from coadjoint.systems.lattices.spin_polynomials import not_empty, propagated, read_stevens
 from coadjoint.systems.lattices.spin_terms import system_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.validation import as_tuples, read_finite, read_number, read_positive, set_fields
+from coadjoint.validation import read_finite, read_number, read_positive, set_fields
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -522,14 +522,13 @@ class SpinModel(LiePoissonSystem):
         ----------
         *forces : Force
             One or more of ``co.forces``. A ``temperature`` is in the unit of the model, kelvin for units of meV; the
-            forces of the new model have Boltzmann's constant times it, an energy, and are taken as they are by other
-            models.
+            forces of the new model have its Boltzmann's constant, and are taken as they are by other models.
 
         Returns
         -------
         SpinModel
         """
-        return super().with_forces(*(_in_energies(force, self.boltzmann) for force in forces))
+        return super().with_forces(*(_in_units(force, self.boltzmann) for force in forces))
 
     def _check_directions(self, caller: str) -> None:
         """Raise TypeError if states are no directions of spins, which `caller` takes."""
@@ -629,13 +628,11 @@ class SpinModel(LiePoissonSystem):
     _declared: Declaration
 
 
-def _in_energies(force: Any, boltzmann: float) -> Any:
-    """Return a force with energies in place of temperatures, marked so that it is not done twice."""
-    if boltzmann == 1.0 or not hasattr(force, "temperature") or getattr(force, "_in_energies", False):
+def _in_units(force: Any, boltzmann: float) -> Any:
+    """Return a force whose temperatures are in the unit of the model, unless it has its own."""
+    if boltzmann == 1.0 or getattr(force, "boltzmann", 1.0) is not None:
         return force
-    converted = replace(force, temperature=as_tuples(boltzmann * np.asarray(force.temperature)))
-    set_fields(converted, _in_energies=True)
-    return converted
+    return replace(force, boltzmann=boltzmann)
 
 
 def _symmetric(matrices: Floats) -> Floats:
