@@ -4,6 +4,7 @@
 #include "steps/inner_step.hpp"
 #include "tangents/force_derivatives.hpp"
 #include "tangents/members.hpp"
+#include "tangents/stage_equations.hpp"
 
 namespace coadjoint {
 
@@ -455,6 +456,8 @@ int64_t in_blocks(const ForcedDerivatives& tables, const Run& run, int64_t first
             }
             return 0;
         } catch (const NotDifferentiated&) {
+            return UNSOLVED;
+        } catch (const NotSolved&) {
             return UNSOLVED;
         }
     });
