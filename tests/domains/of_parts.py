@@ -203,7 +203,7 @@ LAYER = Domain(("vorticity", "carried", 0, 63), ("vorticityx", "", None, True, 6
 OF_FORCES = {
     "BetaPlane": {"beta": real()},
     "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
-    "Gilbert": {"alpha": OF_SPINS, "temperature": OF_SPINS},
+    "Gilbert": {"alpha": OF_SPINS, "temperature": OF_SPINS, "boltzmann": optional(positive())},
     "HamiltonianNoise": {
         "hamiltonians": structured(
             (np.eye(3), ["x1", "x2^2/2"], "x3", SQUARE, (0.5, 0, -1.0)),
@@ -213,7 +213,7 @@ OF_FORCES = {
         "strength": Domain((0.5, 0, -1.0, (0.5, 0.0, 1.0), FULL), (*STRENGTHS, (1.0, 2.0))),
         "levels": whole(0, 20, tried=2),
     },
-    "HeatBath": {"temperature": OF_SPINS},
+    "HeatBath": {"temperature": OF_SPINS, "boltzmann": optional(positive())},
     "Langevin": {
         "rate": vector((0.5, 0.1, 0.0), not_negative(), 0.5, 0, number=True).plus(outside=NOT_ONE_MATRIX),
         "temperature": not_negative(),
