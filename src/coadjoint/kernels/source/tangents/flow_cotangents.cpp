@@ -75,7 +75,6 @@ class StepsBackward final : public Kept {
     }
 
   private:
-
     // Take the steps, and store their states and rotations, unless steps are undone from the last state.
     template <Summation summation, bool with_group>
     void forward() {

@@ -16,6 +16,7 @@
 
 #include "forces/matrix_force.hpp"
 #include "matrices/prediction.hpp"
+#include "tangents/decay_derivatives.hpp"
 #include "tangents/orbit_derivatives.hpp"
 
 namespace coadjoint {
@@ -133,8 +134,7 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
         std::vector<double> rows;
     };
     typedef std::array<int64_t, 3> Unknown;  // the member, the place, and the number of the vector
-    static constexpr int64_t NODES = 8, HISTORY = 8, MOST_NUMBERS = int64_t(1) << 22;
-    static constexpr double WEIGHTS[] = {4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0};
+    static constexpr int64_t HISTORY = 8, MOST_NUMBERS = int64_t(1) << 22;
     const ForceDerivatives& derivatives;
     const Products<T>& products;
     const int64_t numbers;
@@ -309,7 +309,7 @@ class DampingDerivative final : OrbitDamping<T>, public MatrixOrbitDerivative {
             std::fill(dY[k].begin(), dY[k].end(), T(0.0));
             for (int64_t node = 0; node < NODES; ++node) {
                 if (!nearby[k * NODES + node].apply(M.data(), middle, first.data())) return false;
-                const double weight = (node % 2 ? -1.0 : 1.0) * WEIGHTS[node / 2] / derivatives.distance[k];
+                const double weight = difference_weight(node) / derivatives.distance[k];
                 for (int64_t e = 0; e < all; ++e) dY[k][e] += weight * first[e];
             }
         }
