@@ -22,6 +22,7 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number, array_of, full_precision, roundoff
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.conjugation import units_of
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.step_derivatives import LinearizedStep, Stages
 from coadjoint.systems.system import System
@@ -161,8 +162,7 @@ class CommutatorFree(CompiledStepMethod):
         if not system.has_matrices:
             return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))[1]
         matrices = cast(MatrixSystem, system)
-        units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
-        end, changes = self._advanced(orbit, matrices.matrices(x), t, h, units)[1]
+        end, changes = self._advanced(orbit, matrices.matrices(x), t, h, units_of(matrices))[1]
         return matrices.to_vector(end), matrices.to_vector(changes).T
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:

@@ -40,6 +40,7 @@ from coadjoint.systems.matrices.conjugation import (
     damped_along,
     damping_element,
     gaussian_element,
+    units_of,
     with_layers,
 )
 from coadjoint.systems.matrices.conjugation import exponential as unitary
@@ -197,7 +198,7 @@ class DoubleBracketDamping(Force):
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
         """Return the derivative of the midpoint rule, by that of its equation."""
         if system.has_matrices:
-            X, units = system.matrices(x), _units(system)
+            X, units = system.matrices(x), units_of(system)
             return np.asarray(system.to_vector(damped_along(system, self._factor(system), X, units, t, tau)[1]).T)
         middle, v = self._midpoint(system, x, t, tau)
         of_direction = tau * self._direction_tangent(system, middle, t + 0.5 * tau)
@@ -401,7 +402,7 @@ class HeatBath(DoubleBracketDamping):
         return {**super().scalings(system), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
     def _tangent_of_matrices(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
-        X, dX = system.matrices(x), _units(system)
+        X, dX = system.matrices(x), units_of(system)
         for half in range(2):
             if half:
                 X, dX = damped_along(system, self._factor(system), X, dX, t, tau)
@@ -459,11 +460,6 @@ class HeatBath(DoubleBracketDamping):
 def read_boltzmann(value: Any, what: str) -> float | None:
     """Validate the energy of a unit of temperature; None stays."""
     return None if value is None else read_positive(value, what)
-
-
-def _units(system: Any) -> NDArray[Any]:
-    """Return the units of the coordinates of matrices, projected on the algebra."""
-    return np.asarray(system.algebra.projected(system.from_vector(np.eye(system.dim))))
 
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:

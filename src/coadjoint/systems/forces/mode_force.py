@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.coordinates import rest_of
 from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.matrices.conjugation import units_of
 from coadjoint.systems.matrices.spherical_modes import harmonics
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.validation import is_integer, read_choice, read_integer
@@ -329,9 +330,7 @@ class ModeRates(Force):
 
 @lru_cache(maxsize=4)
 def _matrix_of_flow(force: ModeRates, system: Any, tau: float) -> npt.NDArray[np.float64]:
-    n = system.dim
-    # Units are projected: gradients then lie in the algebra.
-    rows = system.to_vector(system.algebra.projected(system.from_vector(np.eye(n))))
+    rows = system.to_vector(units_of(system))  # projected: gradients then lie in the algebra
     for row in rows:
         row += force._scaled(system, row, lambda rate: np.expm1(-tau * rate))
     return np.ascontiguousarray(rows.T)

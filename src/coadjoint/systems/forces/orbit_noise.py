@@ -19,7 +19,7 @@ from coadjoint.systems.forces.orbit_flow import (
     midpoint,
 )
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
-from coadjoint.systems.matrices.conjugation import check_conjugated, conjugated
+from coadjoint.systems.matrices.conjugation import check_conjugated, conjugated, units_of
 from coadjoint.validation import as_tuples, read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -225,12 +225,12 @@ class NoiseOnSide(NamedTuple):
         return self.noise._apply(system, x, t, tau, self.side)
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> Tangent:
-        product, y = np.eye(len(x)), x
         if system.has_matrices:
-            dX = system.algebra.projected(system.from_vector(product))
+            dX = units_of(system)
             for U in self.noise._unitaries(system, t, tau, self.side):
                 dX = conjugated(system, U, dX)
             return np.asarray(system.to_vector(dX).T)
+        product, y = np.eye(len(x)), x
         for term, v in self.noise._flows(system, t, tau, self.side):
             if term is not None:
                 return None

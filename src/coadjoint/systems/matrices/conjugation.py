@@ -100,6 +100,11 @@ def damped(system: Any, factor: float, X: Matrix, t: float, tau: float) -> Matri
     return np.asarray(X + system.bracket(A, M))
 
 
+def units_of(system: Any) -> Matrix:
+    """Return the units of the coordinates of matrices, projected on the algebra."""
+    return np.asarray(system.algebra.projected(system.from_vector(np.eye(system.dim))))
+
+
 def _adjoint(X: Matrix) -> Matrix:
     return np.conj(np.swapaxes(X, -1, -2))
 

@@ -13,6 +13,7 @@ from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra, MatrixFamil
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.matrices.conjugation import units_of
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import is_real
 
@@ -58,8 +59,7 @@ class MatrixEnergy:
             raise TypeError(
                 f"the stream of {system.name} is a function that is not linear; its derivative is not known"
             )
-        rows = system.algebra.projected(system.from_vector(np.eye(self.dim)))
-        return system.energy_factor * system.to_vector(system.dual(system.slope_of(rows, t))).T
+        return system.energy_factor * system.to_vector(system.dual(system.slope_of(units_of(system), t))).T
 
     def terms(self) -> tuple[Any, ...]:
         """Return no terms: the kernels evaluate the stream."""

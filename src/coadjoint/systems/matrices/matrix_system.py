@@ -16,6 +16,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.forces.base import Force, forces_text
+from coadjoint.systems.matrices.conjugation import units_of
 from coadjoint.systems.matrices.matrix_invariants import (
     MatrixEnergy,
     applied,
@@ -278,8 +279,7 @@ class MatrixSystem(Immutable, System):
         return self.to_vector(self.bracket(self._of_gradient(u), self.matrices(x))) / self.energy_factor
 
     def product_derivative(self, x: Any, u: Floats) -> Floats:
-        units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
-        return self.to_vector(self.bracket(self._of_gradient(u), units)).T / self.energy_factor
+        return self.to_vector(self.bracket(self._of_gradient(u), units_of(self))).T / self.energy_factor
 
     def _of_gradient(self, u: Floats) -> Matrix:
         """Return the element of the algebra for a gradient of the numbers of a state."""
